@@ -8,6 +8,7 @@ MAS = math.pi / 180 / 3600e3  # one milliarcsecond [rad]
 MAS_PER_RAD = math.degrees(1) * 3600e3
 # Of a normal variable: the median of its size in standard deviations, and the other way round.
 MEDIAN_OF_NORMAL, SIGMA_OF_MEDIAN = 0.6745, 1.4826
+ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
 
 
 class Scalable(Protocol):

@@ -107,30 +107,16 @@ def calibrate(
 
     Where the images show that the AO residual is uneven over the pupil, the model has this as well.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Of the model; methods of the paper leave them out.
-    adjustable : sequence of Effect
-        What of the instrument may be free jointly with all modes, for an open basis. Copies of the star among
-        them enter where they explain most of what all else leaves above nominal. Other minima than those
-        from the sides of a displaced stop are not looked for then.
-    adjust_always : bool
-        Adjust whatever the images say. By default they have to contradict the instrument as declared, and to
-        agree with one that any instrument could be.
-    start_nm : ndarray, (modes,), optional
-        Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
-        from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
-        (see `open_minima`).
-    report : callable, optional
-        Called with the number of finished frames, for a progress bar.
-    note : callable
-        Called with a line after every step, for a log.
+    The `effects` are those of the model; methods of the paper leave them out. What of the instrument is
+    `adjustable` may be free jointly with all modes, for an open basis. Copies of the star among it enter
+    where they explain most of what all else leaves above nominal. Other minima than those from the sides of a
+    displaced stop are not looked for then. Unless to `adjust_always`, the images have to contradict the
+    instrument as declared, and to agree with one that any instrument could be.
 
-    Raises
-    ------
-    ValueError
-        With an open basis of a method that has none.
+    The fit starts at `start_nm` (modes,) from Noll 2 on, for as many modes as there are; else from none, and
+    once more from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from
+    others (see `open_minima`). `report` gets the number of finished frames, for a progress bar, and `note` a
+    line after every step, for a log. Raises ValueError with an open basis of a method that has none.
     """
     if options.highest_noll == OPEN and not METHODS[options.method].open:
         raise ValueError(f"method {options.method} has no open basis: state its highest Noll mode")

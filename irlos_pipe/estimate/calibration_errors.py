@@ -47,11 +47,11 @@ import numpy as np
 import torch
 from scipy.special import ndtr, stdtrit
 
-from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS
+from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean
+from irlos_pipe.estimate.cube import LEAST_FRAMES, Frames, covariance_of_mean, local_mean
 from irlos_pipe.estimate.image_fit import ImageFit, whole_wavefront
 from irlos_pipe.frames.recording import blocks
 from irlos_pipe.numerics.parallel import joined_map
@@ -59,7 +59,7 @@ from irlos_pipe.numerics.solver import INVALID, Solution
 from irlos_pipe.optics.image_quality import power_spectrum
 
 ErrorsFrom = Literal["frames", "few_frames", "noise"]
-SIGNIFICANT = 5.0  # standard deviations by which few frames have to scatter beyond noise
+BY_CHANCE = 5.0  # standard deviations that are chance, of scatter, of scores and of χ²/ν
 KEPT_SIGMA = 3.0  # standard deviations at which the widened errors keep their level of confidence
 
 
@@ -81,9 +81,9 @@ def errors_of(
     if frames.show_scatter and problem.images.shape[:2] != (1, 1):
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
-        scatter = slow_part(used[:, FIRST : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
-        scatter += _of_shared_nm2(frames, problem, solution)
-        return scatter + nominal.excess(chi2_nu) * _of_model_nm2(frames, problem, solution), "frames"
+        scatter = slow_part(used[:, len(TIP_TILT) : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
+        of_shared, of_model = _systematic_nm2(frames, problem, solution)
+        return scatter + of_shared + nominal.excess(chi2_nu) * of_model, "frames"
     covariance = covariance_from_noise(problem, solution)
     if not _scatter_beyond(used, covariance):
         return covariance, "noise"
@@ -106,21 +106,18 @@ def slow_part(series: np.ndarray) -> float:
     return slow if slow > 0 and abs(np.log(slow)) > DISTINCT * by_chance else 1.0
 
 
-def _of_shared_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
-    """Covariance of the modes [nm²] by the noise of the dark, which is the same in all frames."""
-    x = solution.values[:1]
-    _, jacobian = problem.predict_and_jacobian(x)
-    weight = problem.root_weight[0].double().mean(0).cpu() ** 2
-    gain = whole_wavefront(problem, x[0])[1] @ solution.covariance[0] @ (jacobian[0].double().cpu() * weight)
-    return frames.noise.shared_e2 * (gain @ gain.mT).numpy()
+def _systematic_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances of the modes [nm²] by what all frames share, (modes, modes) each.
 
-
-def _of_model_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
-    """Covariance of the modes [nm²] by an error of the model that leaves a χ²/ν of one."""
+    These are the noise of the dark, and an error of the model that leaves a χ²/ν of one.
+    """
     x, settings = solution.values[:1], problem.model.psf.settings
     _, jacobian = problem.predict_and_jacobian(x)
     jacobian, covariance = jacobian[0].double().cpu(), solution.covariance[0]
     weight = problem.root_weight[0].double().mean(0).cpu() ** 2
+    weighted, gain = jacobian * weight, whole_wavefront(problem, x[0])[1] @ covariance
+    of_noise = gain @ weighted
+    of_shared = frames.noise.shared_e2 * (of_noise @ of_noise.mT).numpy()
     light = local_mean(frames.mean_e, frames.good.double()).clamp_min(0).flatten() * (weight > 0)
     across_px = resolution_px(settings.mean_nm * NM, settings.geometry.diameter_m, settings.pixel_scale_mas)
     rows, columns = (
@@ -132,12 +129,11 @@ def _of_model_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.n
         """S times shapes, (m, pixels)."""
         return (rows @ shapes.reshape(-1, *frames.good.shape) @ columns).flatten(1)
 
-    felt = jacobian * weight * light
-    within = 2 * covariance - covariance @ (jacobian * weight @ jacobian.mT) @ covariance
+    felt = weighted * light
+    within = 2 * covariance - covariance @ (weighted @ jacobian.mT) @ covariance
     products = felt @ alike(felt).mT
     left = float((light**2 * weight).sum() - (within * products).sum())
-    gain = whole_wavefront(problem, x[0])[1] @ covariance
-    return (gain @ products @ gain.mT * problem.freedom / left).numpy()
+    return of_shared, (gain @ products @ gain.mT * problem.freedom / left).numpy()
 
 
 def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:
@@ -146,7 +142,7 @@ def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:
     if count < 2:
         return False
     ratio = float(np.mean(used.var(axis=0, ddof=1) / count / np.diag(covariance)))
-    return ratio > 1 + SIGNIFICANT * np.sqrt(2 / (modes * (count - 1)))
+    return ratio > 1 + BY_CHANCE * np.sqrt(2 / (modes * (count - 1)))
 
 
 def errors_of_mean(estimates_nm: np.ndarray, covariances_nm2: Sequence[np.ndarray]) -> np.ndarray:
@@ -157,7 +153,7 @@ def errors_of_mean(estimates_nm: np.ndarray, covariances_nm2: Sequence[np.ndarra
     """
     count = len(estimates_nm)
     covariance = np.sum(covariances_nm2, axis=0) / count**2
-    for own in (slice(FIRST), slice(FIRST, None)):
+    for own in (slice(len(TIP_TILT)), slice(len(TIP_TILT), None)):
         some = estimates_nm[:, own]
         if _scatter_beyond(some, covariance[own, own]):
             covariance[own, own] += np.cov(some, rowvar=False) / count
@@ -169,16 +165,14 @@ def widening(freedom: float) -> float:
     return float(stdtrit(freedom, ndtr(KEPT_SIGMA))) / KEPT_SIGMA
 
 
-LEAST_FRAMES = 4  # frames from which their scatter is considered
-FIRST = DEFOCUS - REPORTED_NOLLS[0]  # place of the first mode that is no tilt
 SLOWEST, DISTINCT = 2, 2.0  # frequencies over the whole series; standard deviations that are chance
 CORRELATED = 2.3  # λ/D to the first zero of the correlation of the model's error: an Airy core
-BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
 # χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as
 # others do: behind other AO systems it leaves 1.3 to 3.3, of wrong instruments one in a hundred is below.
 OTHER_RESIDUAL = 2.0
-NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14
-SHARED = 0.15  # part of χ²/ν by the noise of the dark, which the frames show to a fifth of their scatter
+# Part of χ²/ν that may be more by errors of the discretisation, of which complete models leave up to 1.14,
+# and less by the noise of the dark, which the frames show to a fifth of their scatter.
+KNOWN_TO = 0.15
 LONGEST = 512  # frames of which all pairs are compared; of more, runs of neighbours are averaged
 
 
@@ -192,12 +186,12 @@ class NominalChi2:
     @property
     def least(self) -> float:
         """Below this χ²/ν is neither by chance nor by the error of the noise that all frames share."""
-        return max(0.0, (1 - SHARED) * self.value - BY_CHANCE * self.sigma)
+        return max(0.0, (1 - KNOWN_TO) * self.value - BY_CHANCE * self.sigma)
 
     @property
     def most(self) -> float:
         """Above this χ²/ν is neither by chance nor by errors of the discretisation."""
-        return (1 + NUMERICAL) * self.value + BY_CHANCE * self.sigma
+        return (1 + KNOWN_TO) * self.value + BY_CHANCE * self.sigma
 
     @property
     def most_behind_ao(self) -> float:

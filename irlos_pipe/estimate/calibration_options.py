@@ -16,6 +16,7 @@ from irlos_pipe.conventions.keys import DITTO, Number
 from irlos_pipe.conventions.keys import key as item
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.numerics.loss import LOSSES, Loss, LossName
 
 Fits = Literal["mean image", "every frame", "all frames"]
@@ -52,10 +53,8 @@ class Method:
     fits: Fits  # to which images, see `methods.SCHEMES`
     loss: LossName  # the default
     description: str
-    highest_noll: int = 30  # default number of modes, Noll 2 to this
-    open: bool = (
-        False  # whether they are only the first, and all that the window shows follow, see `open_fit`
-    )
+    highest_noll: int = HIGHEST_REPORTED_NOLL  # default number of modes, Noll 2 to this
+    open: bool = False  # whether all that the window shows follow them, see `open_fit`
     effects: bool = False  # whether the AO residual and jitter belong to the model
 
 

@@ -32,27 +32,26 @@ from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.planes import DetectorEffect
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
 from irlos_pipe.effects.seeing_halo import SeeingHalo
-from irlos_pipe.estimate.calibration_options import Cause, NcpaPrior
+from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, METHODS, Cause, NcpaPrior
 from irlos_pipe.estimate.cube import local_mean
-from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.open_fit import like
 from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, derivatives, frozen_effects, null_model
 from irlos_pipe.frames.told import SMALLEST_NM
 from irlos_pipe.numerics.solver import INVALID, solve
-from irlos_pipe.optics.lenslets import light_path
-from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import band_limited
 
 WORTH_REFIT, WORTH_NAMING = 0.02, 0.1  # parts of the misfit: by the linear test, and after the refit
-EXPLAINED = 0.5  # part of the misfit that a wrong fact explains: no other minimum or residual is to blame
+EXPLAINED = 0.5  # part of the misfit that what is to blame explains: a fact, modes beyond the closed basis
 ENOUGH = 0.9  # part of the misfit from which other optics, and other minima, are not tried
 ALIKE = 0.03  # part of the misfit by which causes explain as much as the best
 AS_PROMISING = 0.3  # of the best promise: others are not refitted once enough is explained
-REFITS, STEPS = 4, 4  # suspects that are refitted, and their steps
-PLACES = 4  # at which a second star is looked for
+# Suspects that are refitted, as places at which a second star is looked for; their steps.
+REFITS, STEPS = 4, 4
 BEST, FURTHER, AFRESH = 2, 10, 15  # those that are followed, their steps, and those of fits without modes
 TRIAL, TRIAL_MODES = 6, 20  # steps and modes of fits that begin without modes, the best of which go on
-MOST_MODES = 65  # modes that are free in a refit
+MOST_MODES = METHODS[DEFAULT_METHOD].highest_noll - 1  # that are free in a refit: those of the closed basis
 FAR = 0.1  # relative error of the scale from which the end of the spectrum says where to begin
 TURNS_DEG = (-25.0, -12.0, 12.0, 25.0)
 DRAWN, SAME = 64, 0.003  # samples of drawings that are compared; mean square of the difference of one pupil
@@ -69,7 +68,6 @@ ORIENTATIONS = {
     "turned by 180° (or, which looks the same, a diversity of the other sign)": Placement(180.0),
     "transposed about the other diagonal": Placement(-90.0, True),
 }
-NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class Asked:
 
     conditions: Conditions | None  # for an AO residual
     nominal: float  # in units of the fit
-    cutoff: float = NAN  # where detail ends over D/λ, see `frames.told.cutoff_ratio`
+    cutoff: float = math.nan  # where detail ends over D/λ, see `frames.told.cutoff_ratio`
     profile: str = ""
     pupils: Mapping[str, PupilGeometry] = field(default_factory=dict)
 
@@ -92,7 +90,7 @@ class Suspect:
     # by the free values of the effect: in words, and as a number to compare with the `declared` one
     phrase: Callable[[np.ndarray], str]
     value: Callable[[np.ndarray], float] | None = None
-    declared: float = NAN
+    declared: float = math.nan
     unit: str = ""
     effect: Effect | None = None
     settings: PsfSettings | None = None
@@ -271,7 +269,7 @@ def _brightest(problem: ImageFit, null: NullModel) -> list[tuple[float, float]]:
     left = local_mean(residual, (root > 0).double()).numpy()
     y, x = np.indices(left.shape) - (np.array(left.shape) - 1)[:, None, None] / 2
     places: list[tuple[float, float]] = []
-    for _ in range(PLACES):
+    for _ in range(REFITS):
         near = [np.hypot(x - u, y - v) < settings.resolution_px for u, v in [(0, 0), *places]]
         at = np.unravel_index(np.argmax(np.where(np.any(near, axis=0), -np.inf, left)), left.shape)
         places.append((float(x[at]), float(y[at])))
@@ -362,18 +360,8 @@ def _fewer(problem: ImageFit, x: torch.Tensor, kept: int) -> tuple[ImageFit, tor
     layout, count = problem.layout, len(problem.layout.nolls)
     kept, sigma, psf = min(kept, count), layout.prior_sigma_nm, problem.model.psf
     fewer = replace(layout, nolls=layout.nolls[:kept], prior_sigma_nm=None if sigma is None else sigma[:kept])
-    path = _light_path(psf, psf.settings, fewer.nolls)
-    model = ImageModel(path, problem.model.effects.effects)
-    return _fit(problem, model, fewer), torch.cat([x[:1, :kept], x[:1, count:]], dim=1)
-
-
-def _light_path(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPath:
-    return light_path(settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
-
-
-def _fit(problem: ImageFit, model: ImageModel, layout: Layout) -> ImageFit:
-    variance = problem.root_weight[:1].double() ** -2
-    return ImageFit(model, layout, problem.images[:1], variance, loss=problem.loss)
+    model = ImageModel(like(psf, psf.settings, fewer.nolls), problem.model.effects.effects)
+    return problem.posed(model, fewer), torch.cat([x[:1, :kept], x[:1, count:]], dim=1)
 
 
 @dataclass(frozen=True)
@@ -393,7 +381,7 @@ class _Fit:
         if suspect.effect is not None:
             added = FixedEffect(suspect.effect.base, values, [p.name for p in suspect.effect.parameters])
             effects.append(added)
-        path = psf if suspect.settings is None else _light_path(psf, suspect.settings, nolls)
+        path = psf if suspect.settings is None else like(psf, suspect.settings, nolls)
         model = ImageModel(path, effects)
         rest = iter(x[0, problem.layout.effect_values].tolist())
         own: list[int] = []
@@ -403,7 +391,7 @@ class _Fit:
             own += range(begin, begin + len(one.parameters)) if one is added else ()
             parts += [p.start if one is added else next(rest) for p in one.parameters]
         at = torch.tensor([[*x[0, : len(nolls)].tolist(), *parts, *x[0, -2:].tolist()]], dtype=torch.float64)
-        return cls(_fit(problem, model, replace(problem.layout, effects=model.effects.parameters)), at, own)
+        return cls(problem.posed(model, replace(problem.layout, effects=model.effects.parameters)), at, own)
 
     def further(self, steps: int) -> _Fit:
         """Return the fit some steps on, all parameters free; as it is where nothing can be computed."""
@@ -432,7 +420,7 @@ class _Fit:
 
     def cause(self, suspect: Suspect, part: float) -> Cause:
         """The row of a `suspect` that explains a `part` of the misfit."""
-        values, value, sigma = self.x[0, list(self.own)].numpy(), NAN, NAN
+        values, value, sigma = self.x[0, list(self.own)].numpy(), math.nan, math.nan
         if suspect.value is not None and self.covariance is not None:
             value, grown = suspect.value(values), max(1.0, self.chi2 / self.problem.freedom)
             errors = np.sqrt(grown * np.diag(self.covariance).clip(0))[list(self.own)]
@@ -494,5 +482,5 @@ def improbable_diversity(modes_nm: Mapping[int, float], conditions: Conditions) 
     other = f"{abs(best):g} nm in Noll {noll}" if best else "none"
     was = f"{size:g} nm in Noll {mode}"
     says = f"a diversity of {other} instead of {was} would make the modes likely: diversity"
-    found = (best, NAN, size, "nm") if noll == mode else (float(noll), NAN, float(mode), "Noll")
+    found = (best, math.nan, size, "nm") if noll == mode else (float(noll), math.nan, float(mode), "Noll")
     return [Cause("diversity", says, 1 - least / now, *found, "diversity", MODES)]

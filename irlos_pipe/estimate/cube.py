@@ -28,6 +28,7 @@ from irlos_pipe.frames.screening import star_peaks
 
 # Frames from which their scatter gives the error of the mean; of fewer, the noise model does.
 FRAMES_OF_SCATTER = 16
+LEAST_FRAMES = 4  # frames from which their scatter is considered
 LOCAL_PX = 5  # side of the square over which scatter is averaged
 
 
@@ -134,7 +135,7 @@ def autocorrelation_time(series: np.ndarray) -> np.ndarray:
     positive (initial positive sequence, Geyer 1992, Stat. Sci. 7, 473); at least 1.
     """
     frames = len(series)
-    if frames < 4:
+    if frames < LEAST_FRAMES:
         return np.ones(series.shape[1])
     centred = series - series.mean(axis=0)
     spectrum = np.abs(np.fft.rfft(centred, n=2 * frames, axis=0)) ** 2

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,19 +38,14 @@ class Series:
     def only(self, keep: np.ndarray) -> Series:
         """Return those modes for which `keep`, (modes,) of bool, is true."""
         nolls = tuple(noll for noll, kept in zip(self.nolls, keep, strict=True) if kept)
-        return Series(
-            nolls, self.angles_deg, self.zernike_nm[:, keep], self.covariance_nm2[:, keep][:, :, keep]
-        )
+        covariance_nm2 = self.covariance_nm2[:, keep][:, :, keep]
+        return replace(self, nolls=nolls, zernike_nm=self.zernike_nm[:, keep], covariance_nm2=covariance_nm2)
 
     def turned_back(self, sense: int) -> Series:
         """Return every estimate in the frame before the derotator, errors included."""
         back = np.array([rotation_matrix(self.nolls, -sense * angle) for angle in self.angles_deg])
-        return Series(
-            self.nolls,
-            self.angles_deg,
-            np.einsum("cij,cj->ci", back, self.zernike_nm),
-            back @ self.covariance_nm2 @ back.mT,
-        )
+        turned_nm = np.einsum("cij,cj->ci", back, self.zernike_nm)
+        return replace(self, zernike_nm=turned_nm, covariance_nm2=back @ self.covariance_nm2 @ back.mT)
 
 
 @dataclass(frozen=True)
@@ -159,18 +154,9 @@ def _least_squares(design: np.ndarray, series: Series, pair: list[int]) -> tuple
     return value, np.einsum("ucm,cmn,vcn->uv", gain, covariance, gain)
 
 
-@dataclass(frozen=True)
-class Senses:
-    """The better of the two senses of rotation."""
-
-    best: Split
-    delta_chi2: float  # χ² of the other sense minus that of the best; near 0 where the angles do not show it
-
-
-def try_both_senses(series: Series) -> Senses:
-    """Split with either sense; at a tie the wavefront turns anticlockwise."""
-    splits = sorted((split_series(series, sense) for sense in (1, -1)), key=lambda split: split.chi2)
-    return Senses(splits[0], splits[1].chi2 - splits[0].chi2)
+def try_both_senses(series: Series) -> list[Split]:
+    """Split with either sense, the better one first; at a tie the wavefront turns anticlockwise."""
+    return sorted((split_series(series, sense) for sense in (1, -1)), key=lambda split: split.chi2)
 
 
 @dataclass(frozen=True)
@@ -187,12 +173,7 @@ class Consistency:
 
 def consistency(series: Series, split: Split) -> Consistency:
     """Compare the estimates of all pairs of angles of a `series` with its `split`; NaN with one angle."""
-    moving = Series(
-        series.nolls,
-        series.angles_deg,
-        series.zernike_nm - split.fixed.zernike_nm,
-        series.covariance_nm2,
-    )
+    moving = replace(series, zernike_nm=series.zernike_nm - split.fixed.zernike_nm)
     variance = np.trace(series.covariance_nm2, axis1=1, axis2=2)
     first, second = np.triu_indices(len(variance), 1)
     return Consistency(

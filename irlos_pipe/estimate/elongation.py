@@ -146,11 +146,7 @@ def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:
     angle = diversity_angle_deg(model.settings.known.diversity_nm)
     images = model.images(torch.as_tensor(SPAN_NM)[:, None], optics).cpu()
     ratio = axis_ratios(images, torch.ones(images.shape[1:], dtype=torch.bool), angle)
-    return _fit_law(ratio, angle)
-
-
-def _fit_law(ratio: np.ndarray, angle_deg: float) -> ElongationLaw:
-    """Straight line through the widest range, symmetric about zero defocus, that it describes."""
+    # a straight line through the widest range, symmetric about zero defocus, that it describes
     for reach in SPAN_NM[SPAN_NM > 100][::-1]:
         inside = (np.abs(SPAN_NM) <= reach) & np.isfinite(ratio)
         slope, offset = np.polyfit(ratio[inside] - 1, SPAN_NM[inside], 1)
@@ -160,7 +156,7 @@ def _fit_law(ratio: np.ndarray, angle_deg: float) -> ElongationLaw:
     return ElongationLaw(
         float(slope),
         float(offset),
-        angle_deg,
+        angle,
         (-float(reach), float(reach)),
         float(np.sqrt(np.mean(residual**2))),
     )

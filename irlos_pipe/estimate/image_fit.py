@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -43,15 +43,10 @@ class ModesFit(Problem):
 class ImageFit(ModesFit):
     """Images against those of an `ImageModel`; never changed, methods return changed copies.
 
-    Parameters
-    ----------
-    model : ImageModel
-        The modes of its PSF are the fitted ones. Its free effect parameters are either those of
-        `layout.effects`, fitted along, or stay at `held`.
-    images_e : tensor, (batch, repeats, pixels)
-        Data; the images along `repeats` share one parameter vector.
-    variance_e2 : tensor, broadcastable to `images_e`
-        Variance of the data; infinite for masked pixels.
+    The modes of the model's PSF are the fitted ones. Its free effect parameters are either those of
+    `layout.effects`, fitted along, or stay at `held`. The data `images_e` are (batch, repeats, pixels), those
+    along `repeats` share one parameter vector; their variance, broadcastable to them, is infinite for masked
+    pixels.
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
@@ -107,6 +102,10 @@ class ImageFit(ModesFit):
         """Return the same images with another `model` of the same parameters."""
         lower, upper = self._bounds(model)
         return self._with(model=model, lower=lower, upper=upper)
+
+    def posed(self, model: ImageModel, layout: Layout) -> ImageFit:
+        """Return the fit of the same images by a `model` of other parameters, those of a `layout`."""
+        return ImageFit(model, layout, self.images, self.root_weight.double() ** -2, loss=self.loss)
 
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
@@ -322,16 +321,10 @@ class ImageFit(ModesFit):
 class JoinedFit(ModesFit):
     """Fits of several recordings by one vector; one member.
 
-    Parameters
-    ----------
-    parts : sequence of ImageFit
-        Of one member each, with the same modes.
-    columns : sequence of sequences of int
-        For each part where its parameters stand in the whole vector; parts may share some.
-    changes : sequence of mappings
-        For each part the numbers of those parameters to which a further one is added, and where that stands.
-    sigma : mapping
-        By place in the whole vector the prior standard errors of these, about 0.
+    The `parts`, of one member each, have the same modes. For each of them `columns` say where its parameters
+    stand in the whole vector, of which parts may share some, and `changes` to which of these by number a
+    further one is added, and where that stands: the prior standard errors of these, about 0, are `sigma`, by
+    place in the whole vector.
     """
 
     def __init__(
@@ -422,7 +415,7 @@ class Layout:
     effects: tuple[Parameter, ...] = ()  # free parameters; empty where they are held
     # (modes,) or (batch, modes), both or none: Gaussian prior of the modes
     prior_mean_nm: torch.Tensor | None = None
-    prior_sigma_nm: torch.Tensor | None = field(default=None)
+    prior_sigma_nm: torch.Tensor | None = None
 
     @property
     def modes(self) -> slice:

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration_errors import nominal_of
@@ -22,10 +23,11 @@ from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions,
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance, whole_wavefront
 from irlos_pipe.estimate.starts import (
-    START_HIGHEST_NOLL,
+    FEW_FRAMES,
     a_wave_off,
     better,
     check_twin,
+    evenly,
     median_of_frames_nm,
     start_tilts_nm,
 )
@@ -43,7 +45,7 @@ Report = Callable[[int], Any]
 
 
 def silent(count: int) -> None:
-    """Report nothing."""
+    pass
 
 
 @dataclass(frozen=True)
@@ -61,10 +63,6 @@ class Scheme(ABC):
     @abstractmethod
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
         """Images (batch, repeats, rows, columns) [e-], and their variance, which broadcasts to them."""
-
-    def fits(self, frames: Frames) -> int:
-        """Return the number of fits."""
-        return 1
 
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
         """PSF model for `settings` with the modes `nolls` on a `device`, as precise as the images need."""
@@ -106,9 +104,6 @@ class EveryFrame(Scheme):
 
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
         return frames.images_e[:, None], frames.noise.variance_e2(frames.mean_e)[None, None]
-
-    def fits(self, frames: Frames) -> int:
-        return len(frames.images_e)
 
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
         """See `Scheme.start`: what a few frames agree on, and tip and tilt of every frame by itself."""
@@ -187,7 +182,6 @@ def scheme_of(options: CalibrationOptions) -> Scheme:
     return SCHEMES[METHODS[options.method].fits]
 
 
-FEW = 10  # frames whose mean curvature stands for that of all
 LEAST_SQUARES_EVALUATIONS = 4
 EVALUATIONS = 50  # after so many, most frames have converged
 
@@ -234,7 +228,7 @@ def _by_themselves(problem: ImageFit, found: Solution, which: torch.Tensor, eval
 
 def _with_shared_curvature(problem: ImageFit, x: torch.Tensor) -> Solution:
     """These parameters with the inverse of the mean Hessian of a few members."""
-    few = torch.linspace(0, len(x) - 1, min(FEW, len(x))).round().long()
+    few = evenly(len(x), FEW_FRAMES)
     _, _, hessian = problem.normal_equations(x[few], few)
     hessian = hessian[torch.isfinite(hessian).all((1, 2))].mean(0, keepdim=True)
     covariance = scaled_inverse(hessian).expand(len(x), -1, -1)
@@ -331,7 +325,7 @@ class CubeFit:
 
     def _second_start(self, problem: ImageFit) -> torch.Tensor:
         """The start with the low modes of single frames."""
-        nolls = [noll for noll in self.psf.nolls if noll <= START_HIGHEST_NOLL]
+        nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
         model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
         median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
         return start_at_centroids(cube, problem, median_nm)
@@ -339,7 +333,7 @@ class CubeFit:
     def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report = silent) -> Solution:
         limit = self.options.max_iterations
         if self.options.optimiser == "lbfgs":
-            return solve_lbfgs(problem, start, max_iterations=3 * limit)
+            return solve_lbfgs(problem, start, 3 * limit)
         return scheme_of(self.options).solve(problem, start, limit, report)
 
 
@@ -348,7 +342,7 @@ GRADIENT_TOLERANCE = 1e-2  # per standard error of a parameter
 
 
 @torch.enable_grad()
-def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int = 300) -> Solution:
+def solve_lbfgs(problem: ImageFit, start: torch.Tensor, max_iterations: int) -> Solution:
     """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
 
     The variables are scaled by the curvature at the `start` (batch, parameters), so that nm, electrons and

@@ -240,7 +240,7 @@ def equalised_tilts(scatter: ModeScatter) -> ModeScatter:
     def equal(values: np.ndarray) -> np.ndarray:
         return np.where(tilts, np.sqrt(np.mean(values[tilts] ** 2)) if tilts.any() else 0.0, values)
 
-    return ModeScatter(scatter.nolls, equal(scatter.std_nm), equal(scatter.noise_nm), scatter.draws)
+    return replace(scatter, std_nm=equal(scatter.std_nm), noise_nm=equal(scatter.noise_nm))
 
 
 def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remove_noise: bool) -> ModeLaw:

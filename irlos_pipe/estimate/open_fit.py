@@ -29,6 +29,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.numerics.solver import INVALID, CheapGradientProblem, Solution, solve
 from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import noll_to_nm
 
@@ -54,6 +55,11 @@ def visible_order(settings: PsfSettings) -> int:
     reach_rad = max(settings.window) * settings.pixel_scale_mas * MAS / 2
     seen = np.pi * reach_rad * settings.geometry.diameter_m / settings.shortest_m
     return min(int(seen) - 1, MOST_ORDERS)
+
+
+def like(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPath:
+    """Return the light path of other settings and modes, computed where and as precisely as `psf`."""
+    return light_path(settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
 
 
 @dataclass(frozen=True)
@@ -86,9 +92,7 @@ class OpenFit(CheapGradientProblem, ImageFit):
         if self.reweighted or self.imitated:
             return self
         psf = self.model.psf
-        settings = psf.settings.with_fewer_colours(JOINED)
-        options = {"device": psf.device, "dtype": psf.dtype, "rough_derivatives": True}
-        coarse = light_path(settings, psf.nolls, **options)
+        coarse = like(psf, psf.settings.with_fewer_colours(JOINED), psf.nolls)
         return self._with(few_colours=ImageModel(coarse, self.model.effects.effects))
 
     @property
@@ -122,7 +126,7 @@ def open_basis(
     *,
     beyond_nm: Mapping[int, float] | None = None,
     law: TailLaw | None = None,
-    max_iterations: int = 60,
+    max_iterations: int,
     settle: bool = True,
 ) -> Opened | None:
     """Fit all modes that the window shows, or return None where it shows no more or no more can be fitted.
@@ -136,7 +140,7 @@ def open_basis(
     nolls = range(2, last_noll_of(visible_order(psf.settings)) + 1)
     if len(nolls) <= len(psf.nolls):
         return None
-    wider = light_path(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
+    wider = like(psf, psf.settings, nolls)
     model = ImageModel(wider, closed.model.effects.effects)
     sigma = torch.full((len(nolls),), torch.inf, dtype=torch.float64)
     if closed.layout.prior_sigma_nm is not None:

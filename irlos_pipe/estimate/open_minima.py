@@ -38,7 +38,6 @@ from irlos_pipe.numerics.solver import INVALID, Solution, solve
 SEED = 20
 SHAKES, PATIENCE = 16, 8  # shakes from one start at most, and in a row without a better minimum
 SHAKEN_TIMES = 4  # shakes take at most so many times the iterations of softened weights
-LEFT = 0.5  # part of χ²/ν of the closed basis: above it, modes beyond are not what that lacks
 ITERATIONS = 40  # of every fit on the way
 PRIOR_PART = 0.3  # part of the standard deviation of the prior, for shakes by it
 BACK_NM = 10.0  # RMS in Noll 4–30 within which a fit has led back; other minima are 20 to 200 away
@@ -94,7 +93,7 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     """
     problem, values = opened.problem, opened.solution.values[:1]
     chi2_nu = chi2_nu_of(opened.fit)
-    if chi2_nu <= most or chi2_nu > LEFT * chi2_nu_of(closed):
+    if chi2_nu <= most or chi2_nu > (1 - EXPLAINED) * chi2_nu_of(closed):
         return opened
     rough = problem.to(ROUGHLY)
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))

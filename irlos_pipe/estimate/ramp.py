@@ -10,6 +10,7 @@ import numpy as np
 
 from irlos_pipe.conventions.keys import DITTO, Number, key
 from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.units import ONE_SIGMA
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.focus_stage import travel_direction
@@ -87,7 +88,7 @@ def summarise(
         part_bias_sigma_nm=errors[1],
         offsets_nm=offsets,
         median_nm=np.array([np.median(g) for g in groups]),
-        scatter_nm=np.array([np.diff(np.percentile(g, [15.87, 84.13]))[0] / 2 for g in groups]),
+        scatter_nm=np.array([_half_width(g) for g in groups]),
     )
 
 
@@ -99,13 +100,13 @@ def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) ->
     estimated = estimated_nm[np.isfinite(estimated_nm)]
     if not len(estimated):
         raise ValueError("no frame could be estimated")
-    mean, spread = float(estimated.mean()), np.diff(np.percentile(estimated, [15.87, 84.13])) / 2
+    mean = float(estimated.mean())
     return RampSummary(
         offset_nm=mean - float(introduced_nm[0]),
         residual_rms_nm=_rms(estimated - mean),
         offsets_nm=introduced_nm[:1],
         median_nm=np.array([np.median(estimated)]),
-        scatter_nm=spread,
+        scatter_nm=np.array([_half_width(estimated)]),
     )
 
 
@@ -140,6 +141,12 @@ def _least_squares(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
     freedom = max(len(values) - len(solution), 1)
     variance = np.sum((values - columns @ solution) ** 2) / freedom
     return solution, np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
+
+
+def _half_width(values: np.ndarray) -> float:
+    """1σ of values, from their percentiles."""
+    low, _, high = np.percentile(values, ONE_SIGMA)
+    return (high - low) / 2
 
 
 def _rms(values: np.ndarray) -> float:

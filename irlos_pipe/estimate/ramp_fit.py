@@ -26,7 +26,7 @@ from irlos_pipe.estimate.calibration_errors import public_errors
 from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, ImageFit, Layout
 from irlos_pipe.estimate.lift import LiftResult, image_problem, lift, smooth
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
+from irlos_pipe.estimate.starts import STEP_NM, evenly, scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once
@@ -36,7 +36,6 @@ from irlos_pipe.optics.light_path import LightPath
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
 SHARED_FRAMES = 24  # frames that determine what all share, at most: more take long and add little
 MIN_FRAMES = 3  # frames from which a table of images saves more time than it takes to make
-CONTRADICTION_NM = 100.0  # distance from the defocus scan from which a fit gets a second try, too
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ def fit_ramp(
     """
     free = EffectSet(effects, model.grids)
     which = torch.nonzero(torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen))[:, 0]
-    which = which[torch.linspace(0, len(which) - 1, min(len(which), SHARED_FRAMES)).round().long()]
+    which = which[evenly(len(which), SHARED_FRAMES)]
     shared = None
     if free.parameters:
         some, layout = data.of(which), Layout(model.nolls)
@@ -133,7 +132,7 @@ def second_try(model: ImageModel, data: RampData, result: LiftResult, options: L
     start = scan_start_nm(model.psf, data.images_e, data.good, model.optics)
     finite, focus = result.chi2_nu[torch.isfinite(result.chi2_nu)], result.nolls.index(4)
     typical = finite.median() if len(finite) else 1.0
-    contradicted = (result.zernike_nm[:, focus] - start[:, focus]).abs() > CONTRADICTION_NM
+    contradicted = (result.zernike_nm[:, focus] - start[:, focus]).abs() > STEP_NM
     failed = ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical)
     suspect = failed | contradicted
     if not suspect.any():
@@ -242,9 +241,15 @@ def _linearised(problem: ImageFit, x: torch.Tensor):
     gradient = torch.zeros(len(problem.held), dtype=torch.float64)
     information = torch.zeros(len(gradient), len(gradient), dtype=torch.float64)
     chi2, own, steps = 0.0, problem.layout.size, []
+    modes = len(problem.layout.nolls)
+    order = [*range(modes), -2, -1, *range(modes, modes + len(gradient))]  # the shared ones last
     size = at_once(FRAMES_PER_CHUNK, problem.device)
     for part, which in zip(x.split(size), torch.arange(len(x)).split(size), strict=True):
-        columns, residual = _whitened_columns(problem, part, which)
+        image, columns = problem.predict_and_all_derivatives(part)
+        numbers = which.to(problem.images.device)
+        root = problem.root_weight[numbers, 0].double()
+        residual = (problem.images[numbers, 0].double() - image) * root
+        columns = columns[:, order].double() * root[:, None]
         force, normal = (columns @ residual[..., None]).cpu(), (columns @ columns.mT).cpu()
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which])
         right = torch.cat([normal[:, :own, own:], force[:, :own]], dim=2)
@@ -255,14 +260,3 @@ def _linearised(problem: ImageFit, x: torch.Tensor):
         chi2 += float(residual.square().sum())
     misfit = max(1.0, chi2 / (problem.freedom * len(x)))
     return chi2, torch.cat(steps), gradient / misfit, information / misfit
-
-
-def _whitened_columns(problem: ImageFit, x: torch.Tensor, which: torch.Tensor):
-    """Derivatives (b, own + shared, pixels) and residuals (b, pixels), both over the noise."""
-    image, columns = problem.predict_and_all_derivatives(x)
-    modes, shared = len(problem.layout.nolls), len(problem.held)
-    order = [*range(modes), -2, -1, *range(modes, modes + shared)]
-    which = which.to(problem.images.device)
-    root = problem.root_weight[which, 0].double()
-    residual = (problem.images[which, 0].double() - image) * root
-    return columns[:, order].double() * root[:, None], residual

@@ -41,8 +41,8 @@ from irlos_pipe.effects.companion import INNER_MAS
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect, PupilEffect
 from irlos_pipe.effects.seeing_halo import SeeingHalo, UnevenResidual
-from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
+from irlos_pipe.estimate.calibration_errors import BY_CHANCE
+from irlos_pipe.estimate.cube import LEAST_FRAMES, Frames, autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.solver import Solution
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, PupilMode
@@ -290,9 +290,6 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
     return [*fixed, _FrozenTransfer(optics.transfer, [*copies, *by_mode])]
 
 
-BEYOND_CHANCE = 5.0  # standard deviations by which scores exceed what their scatter makes
-
-
 def uneven(frames: Frames, problem: ImageFit, solution: Solution) -> UnevenResidual | None:
     """Return the unevenness over the pupil of an AO residual where the images show one.
 
@@ -313,12 +310,11 @@ def uneven(frames: Frames, problem: ImageFit, solution: Solution) -> UnevenResid
     deviations = torch.where(null.root > 0, (images * (flux.mean() / flux) - mean) * null.root, 0.0)
     inverse = torch.linalg.inv(torch.as_tensor(covariance_of_mean((deviations @ left).numpy())))
     score = left.mT @ null.residual
-    by_chance = len(score) + BEYOND_CHANCE * np.sqrt(2 * len(score))
+    by_chance = len(score) + BY_CHANCE * np.sqrt(2 * len(score))
     return found if float(score @ inverse @ score) > by_chance else None
 
 
 SIGNIFICANT = 4.0  # standard errors from which an amplitude counts
-LARGEST_SIGMA = 0.25
 LEAST_EFFECT = 1e-100  # effect of a parameter on the image, instead of none: avoids division by zero
 MIRROR = Placement(mirrored=True)
 
@@ -333,7 +329,7 @@ class Mirrored:
     @property
     def tells(self) -> bool:
         """Whether the error is small enough to distinguish the mirrored pupil from the declared one."""
-        return self.sigma <= LARGEST_SIGMA
+        return SIGNIFICANT * self.sigma <= 1
 
     @property
     def limit(self) -> float:

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
+from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL, ONE_SIGMA
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import NearModel, in_pieces, lift, near
+from irlos_pipe.estimate.lift import REACH_NM, NearModel, in_pieces, lift, near
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once, ordered_map, process_map
 from irlos_pipe.numerics.solver import scaled_inverse
 
-PERCENTILES = (50, 15.87, 84.13)
 IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
 
 
@@ -73,7 +72,7 @@ class Criterion:
     median_nm: float  # the median |error| may not exceed this [nm RMS]
     failure_fraction: float  # nor may more than this part of the estimates fail
     # an estimate further than this from the introduced defocus counts as failed
-    implausible_nm: float = 500.0
+    implausible_nm: float = REACH_NM
 
 
 def dim(
@@ -90,22 +89,10 @@ def dim(
     the scaled flux is ``(F' s - F s²) signal + floor' - s² floor``, F' and floor' being those of the faint
     frame, drawn as an excess-scaled Poisson and a normal variate.
 
-    Parameters
-    ----------
-    images_e, signal_e : tensor, (frames, rows, columns)
-        Measured frames, and their noise-free model.
-    factor : float
-        Between 0 and 1.
-    noise : NoiseModel
-        Of the frames.
-    faint : NoiseModel, optional
-        Of those of the dimmer star; that of the frames if left out. Where it has less than scaling leaves,
-        nothing is taken away.
-
-    Raises
-    ------
-    ValueError
-        If `factor` exceeds 1: frames cannot be made brighter honestly.
+    Measured frames and their noise-free model `signal_e` are (frames, rows, columns). The `noise` is that of
+    the frames, and unless another one is given, that of the `faint` ones; where these have less than scaling
+    leaves, nothing is taken away. Raises ValueError if `factor` exceeds 1: frames cannot be made brighter
+    honestly.
     """
     if not 0 < factor <= 1:
         raise ValueError(f"frames can only be dimmed, not scaled by {factor:.3g}")
@@ -134,20 +121,10 @@ def scan(
 ) -> list[Curve]:
     """Estimate the error of defocus over a range of magnitudes, for every one of some configurations.
 
-    Parameters
-    ----------
-    data : RampData
-        Measured frames, of a star of magnitude `mag_j`.
-    magnitudes : ndarray
-        Not brighter than `mag_j`.
-    realisations : int
-        Of every frame at every magnitude.
-    faint : NoiseModel, optional
-        Of the dimmed frames; that of the measured ones if left out.
-    one_read : NoiseModel, optional
-        Of exposures of one read without sky, for comparison; that of the measured frames if left out.
-    report : callable
-        Gets the number of estimates that were finished, for a progress bar.
+    The measured frames `data` are of a star of magnitude `mag_j`, and no brighter are the `magnitudes`, at
+    which every frame has so many `realisations`. The noise of the dimmed frames, `faint`, and that of
+    exposures of one read without sky, `one_read`, for comparison, are by default those of the measured ones.
+    `report` gets the number of estimates that were finished, for a progress bar.
     """
     faint, one_read = faint or data.noise, one_read or data.noise
     factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
@@ -230,10 +207,8 @@ def curve_of(
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
     finite = [row[~np.isnan(row)] for row in abs_error_nm]
-    nothing = [np.nan] * len(PERCENTILES)
-    median, low, high = np.array(
-        [np.percentile(row, PERCENTILES) if len(row) else nothing for row in finite]
-    ).T
+    nothing = [np.nan] * len(ONE_SIGMA)
+    low, median, high = np.array([np.percentile(row, ONE_SIGMA) if len(row) else nothing for row in finite]).T
     limit = limiting_magnitude(mag_j, median, failures / trials, criterion)
     return Curve(
         nolls, mag_j, median, low, high, crb_nm, failures, trials, limit, abs_error_nm, one_read_crb_nm

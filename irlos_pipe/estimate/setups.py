@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import (
@@ -35,12 +35,7 @@ from irlos_pipe.estimate.calibration import (
     calibrate,
     window_resolutions,
 )
-from irlos_pipe.estimate.calibration_errors import (
-    NominalChi2,
-    Part,
-    nominal_chi2,
-    public_errors,
-)
+from irlos_pipe.estimate.calibration_errors import NominalChi2, Part, nominal_chi2, public_errors
 from irlos_pipe.estimate.calibration_options import CalibrationOptions, TwinCheck
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront
@@ -50,8 +45,8 @@ from irlos_pipe.numerics.solver import Solution, solve
 from irlos_pipe.optics.image_quality import power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-POINTING = 2  # Noll 2 and 3, the first modes
-FOCUSED = 3  # Noll 2 to 4
+POINTING = len(TIP_TILT)  # the first modes
+FOCUSED = POINTING + 1  # those and defocus
 TWIN_ITERATIONS = 80  # planes exclude the twin: its fit goes back a long way to the solution
 LEAST_SETUPS = 3  # set-ups from which they can contradict each other
 # accuracy of introduced defoci, as a part of them: where the search begins, and its limits
@@ -88,11 +83,11 @@ class SetupsFit(JoinedFit):
     Introduced defoci are known to a part, `accuracy`, of them or of their RMS, whichever is larger: `off_nm`.
     """
 
-    def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit], accuracy: float = FIRST):
+    def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit]):
         place: dict[Hashable, int] = {}
         columns: list[list[int]] = []
         changes: list[dict[int, int]] = [{} for _ in parts]
-        self.accuracy, self.off_nm = accuracy, {}
+        self.accuracy, self.off_nm = FIRST, {}
         introduced_nm = [setup.introduced_nm for setup in setups if setup.introduced_nm]
         usual_nm = float(np.sqrt(np.mean(np.square(introduced_nm or [0.0]))))
         for number, (setup, part) in enumerate(zip(setups, parts, strict=True)):
@@ -101,7 +96,7 @@ class SetupsFit(JoinedFit):
                 off = place.setdefault(("off", number), len(place))
                 changes[number] = {FOCUSED - 1: off}
                 self.off_nm[off] = max(abs(setup.introduced_nm), usual_nm)
-        sigma_nm = {column: accuracy * nm for column, nm in self.off_nm.items()}
+        sigma_nm = {column: FIRST * nm for column, nm in self.off_nm.items()}
         super().__init__(parts, columns, changes, sigma_nm)
         self.parts = tuple(
             part._with(has_prior=False, prior_precision=0 * part.prior_precision) for part in parts
@@ -271,7 +266,7 @@ def _found(setup: Setup, part: ImageFit, x: torch.Tensor, common_nm: float, devi
     settings = replace(settings, known=replace(settings.known, ncpa_nm=beyond))
     psf = MEAN_IMAGE.psf_model(settings, layout.nolls[:FOCUSED], device)
     held = part.model.effects.held(x[0, layout.effect_values]).effects
-    alone = ImageFit(ImageModel(psf, held), Layout(psf.nolls), part.images, part.root_weight.double() ** -2)
+    alone = part.posed(ImageModel(psf, held), Layout(psf.nolls))
     near = x[:, [*range(FOCUSED), -2, -1]]
     mirrored = near.clone()
     mirrored[:, FOCUSED - 1] *= -1

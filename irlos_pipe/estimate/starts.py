@@ -37,11 +37,11 @@ from irlos_pipe.optics.light_path import AS_BUILT, LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import noll_to_nm
 
-SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
+STEP_NM = 100.0  # between templates of a scan of defocus: a fit converges from half of it
+SCAN_NM = STEP_NM * np.arange(-7, 8)  # defocus of the templates
 ALIKE_AT_ONCE = 8  # images that are compared with all templates at once
-FEW_FRAMES = 10  # single frames whose median is a start
+FEW_FRAMES = 10  # single frames that stand for all: their median is a start, their mean curvature that of all
 FEW_FRAMES_ITERATIONS = 60
-START_HIGHEST_NOLL = 30  # modes of a start from single frames
 
 
 def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
@@ -119,6 +119,11 @@ def _signed(index: torch.Tensor, size: int) -> torch.Tensor:
     return torch.where(index > size // 2, index - size, index)
 
 
+def evenly(count: int, most: int) -> torch.Tensor:
+    """Return numbers of members of so many, spread evenly, `most` of them at most."""
+    return torch.linspace(0, count - 1, min(most, count)).round().long()
+
+
 def median_of_frames_nm(
     model: LightPath,
     images_e: torch.Tensor,
@@ -132,8 +137,7 @@ def median_of_frames_nm(
     (frames, rows, columns) and `good` pixels (rows, columns): (modes,), float64 [nm RMS], zero where no frame
     could be fitted.
     """
-    chosen = torch.linspace(0, len(images_e) - 1, min(FEW_FRAMES, len(images_e))).round().long()
-    some = images_e[chosen]
+    some = images_e[evenly(len(images_e), FEW_FRAMES)]
     start = torch.zeros(len(some), len(model.nolls), dtype=torch.float64)
     start[:, :2] = start_tilts_nm((some * good).double(), model.settings)
     options = LiftOptions(noise="data", max_iterations=max_iterations)

@@ -143,8 +143,7 @@ def splits(rows: ex.Frame) -> dict[str, SplitOutput]:
         nolls, angles_deg = tuple(own.nolls.iloc[0].tolist()), own.angle_deg.to_numpy(float)
         stacks = ex.stacked(own, "zernike_nm", "covariance_nm2")
         series = Series(nolls, angles_deg, *stacks).only(usable_modes(nolls))
-        senses = try_both_senses(series)
-        found[method] = SplitOutput(series, senses.best, senses)
+        found[method] = SplitOutput(series, *try_both_senses(series))
     return found
 
 

@@ -13,11 +13,9 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.estimate.derotator import (
     Consistency,
     Part,
-    Senses,
     Series,
     Split,
     consistency,
-    split_series,
     try_both_senses,
     usable_modes,
 )
@@ -142,10 +140,11 @@ def _one_angle(ctx: StageContext[Config], cubes: list[AngleRow], series: Series)
 
 
 def _split(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> StageOutput:
-    senses = try_both_senses(series)
+    best, other = try_both_senses(series)
     estimated = ctx.config.sense == "estimate"
     sense = 1 if ctx.config.sense == "anticlockwise" else -1
-    found = SplitOutput(series, senses.best if estimated else split_series(series, sense), senses)
+    as_set = estimated or best.sense == sense
+    found = SplitOutput(series, best, other) if as_set else SplitOutput(series, other, best)
     split = found.split
     text = f"χ²/ν = {split.chi2_nu:.2f} of the two parts against the single estimates"
     checks = [Check("chi2 of the split", split.chi2_nu, "", None, ctx.config.max_chi2_nu, text)]
@@ -185,7 +184,7 @@ class SplitOutput:
 
     series: Series
     split: Split
-    senses: Senses
+    other: Split  # with the other sense
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -194,7 +193,7 @@ class SplitOutput:
     @property
     def delta_chi2(self) -> float:
         """χ² of the other sense minus that of the one adopted; negative against a sense that was set."""
-        return self.senses.delta_chi2 * (1 if self.senses.best.sense == self.split.sense else -1)
+        return self.other.chi2 - self.split.chi2
 
     def results(self) -> dict[str, Any]:
         """Return the keys of the results, but the cubes."""

@@ -17,6 +17,7 @@ import torch
 from scipy.fft import rfft2
 
 from irlos_pipe.conventions.units import tilt_nm
+from irlos_pipe.estimate.starts import STEP_NM
 from irlos_pipe.numerics.solver import CHI2_TOLERANCE
 from irlos_pipe.optics.focus_table import FocusImages, FocusTable
 
@@ -160,7 +161,6 @@ def _inverse(fisher: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(fisher * scale * scale[:, None], hermitian=True) * scale * scale[:, None]
 
 
-STEP_NM = 100.0  # between templates: a fit converges from half of it
 APART = 2  # templates on either side, among which a maximum must be the highest
 CUT = 0.4  # frequencies kept [cycles/px]: more than a table's images have
 

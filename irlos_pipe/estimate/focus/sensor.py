@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import DECISIVE
 from irlos_pipe.estimate.focus.photon_fit import Candidate, FocusScan, Found, Noise, PhotonFit
 from irlos_pipe.estimate.focus.unexplained import Unexplained, unexplained
 from irlos_pipe.estimate.lift import LiftResult
@@ -51,7 +52,7 @@ class Limits:
     # least flux over its error: noise alone, free to move over the scan, reaches 5
     signal_to_noise: float = 8.0
     sigma_nm: float = 100.0  # largest formal error of the defocus [nm RMS]
-    evidence: float = 10.0  # Δχ² by which the best solution must surpass any other one
+    evidence: float = DECISIVE  # Δχ² by which the best solution must surpass any other one
     saturation_e: float = math.inf  # of the brightest good pixel of one read
 
 
@@ -76,23 +77,9 @@ class Focus:
     """Measures tip, tilt and defocus of single images with one model.
 
     Everything is prepared here; a measurement takes about a millisecond on one core. One object serves one
-    thread.
-
-    Parameters
-    ----------
-    model : ImageModel
-        Of the modes tip, tilt and defocus, in whatever order; its effects have no free parameters and none
-        acts on the detector or changes with time.
-    good : ndarray of bool, (rows, columns)
-    noise : NoiseModel
-        Of one read.
-    reach_nm : float
-        Largest defocus either way [nm RMS].
-
-    Raises
-    ------
-    ValueError
-        If the images of such a model cannot be tabulated.
+    thread. The `model` has the modes tip, tilt and defocus, in whatever order; its effects have no free
+    parameters and none acts on the detector or changes with time. The `good` pixels are (rows, columns), the
+    `noise` is that of one read. Raises ValueError if the images of such a model cannot be tabulated.
     """
 
     def __init__(
@@ -101,9 +88,8 @@ class Focus:
         good: np.ndarray,
         noise: NoiseModel,
         limits: Limits = Limits(),
-        reach_nm: float = REACH_NM,
     ):
-        reach = Reach((-reach_nm, reach_nm), TILT_REACH_NM)
+        reach = Reach((-REACH_NM, REACH_NM), TILT_REACH_NM)
         _require_table(model, reach)
         table = FocusTable(model.psf, model.optics, reach)
         self.window, self.limits, self.noise = table.settings.window, limits, noise

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure as Canvas
 from scipy import stats
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.units import ONE_SIGMA
 from irlos_pipe.product.product import Check
 from irlos_pipe.report.content import Figure, Table, Width
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, ORANGE, svg
@@ -37,7 +38,6 @@ Record = Mapping[str, Any]
 Tables = Mapping[str, Frame]
 DRAWS, BOOTSTRAP_SEED = 4000, 0
 TAIL = 0.05  # probability beyond each end of a range of 90 %
-ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
 

@@ -12,18 +12,16 @@ from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.effects import CATALOGUE, Conditions
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.estimate.calibration import Calibration, facts_of
-from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
 from irlos_pipe.estimate.calibration_options import Cause, OneSetup
 from irlos_pipe.estimate.causes import (
     ENOUGH,
     EXPLAINED,
-    NAN,
     Asked,
     causes_of_misfit,
     dark_left_in,
     improbable_diversity,
 )
-from irlos_pipe.estimate.cube import CLEAR, Motion
+from irlos_pipe.estimate.cube import CLEAR, LEAST_FRAMES, Motion
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.methods import Fit
 from irlos_pipe.estimate.score_test import Mirrored
@@ -310,7 +308,7 @@ def _asked(
     cutoff = cutoff_ratio(result.mean_image_e, good, expected)
     if np.isnan(cutoff):  # the declared pupil may be much too large: does detail end far below it?
         cutoff = cutoff_ratio(result.mean_image_e, good, expected, LAST_PER_PX)
-        cutoff = cutoff if cutoff * expected * BEYOND < LAST_PER_PX else NAN
+        cutoff = cutoff if cutoff * expected * BEYOND < LAST_PER_PX else math.nan
     pupils = {one: load_instrument(one).pupil for one in SHIPPED if one != ctx.instrument.name}
     return problem, x, Asked(conditions, nominal, cutoff, ctx.instrument.name, pupils)
 
@@ -337,4 +335,4 @@ def _constant(name: str, words: str, row: Constant, unit: str, key: str) -> Caus
         f"{words} of {row.measured:.3g} ± {row.error:.2g} {unit} instead of {row.used:.3g} {unit} would "
         f"explain how the frames scatter: {key}"
     )
-    return Cause(name, says, NAN, row.measured, row.error, row.used, unit, key, "cal-time")
+    return Cause(name, says, math.nan, row.measured, row.error, row.used, unit, key, "cal-time")

@@ -19,7 +19,6 @@ from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_errors import errors_of_mean
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, NcpaPrior
 from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
-from irlos_pipe.estimate.methods import scheme_of
 from irlos_pipe.estimate.setups import Setup, calibrate_setups, is_common
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.numerics.parallel import process_map
@@ -143,7 +142,8 @@ def _calibrate(
     """
     one, conditions = cube or cube_input(ctx, recordings, options)
     quiet: dict[str, Any] = {"disable": True} if note else {}
-    note, total = note or ctx.log.info, scheme_of(options).fits(one.frames)
+    note, single = note or ctx.log.info, METHODS[options.method].fits == "every frame"
+    total = len(one.frames.images_e) if single else 1
     with ctx.progress(total=total, desc=f"calibrate {options.method}", **quiet) as bar:
         context: dict[str, Any] = {"device": ctx.device, "report": bar.update, "note": note}
         if ctx.config.adjust and METHODS[options.method].open:
