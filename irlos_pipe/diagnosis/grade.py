@@ -1,5 +1,6 @@
 """How complete a diagnosis is: whether much is left, where it lies, and what that says of the names."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -32,7 +33,7 @@ AT_FLOOR = 1.2  # gap over its floor up to which nothing says that they do not
 BY_ITSELF = 0.5
 
 # By chance three images on one side are in line in one of 2400 cases, two along rows or columns in one of
-# 450.
+# 450. Three places of the pupil are a scratch.
 IN_A_ROW, ALONG_PIXELS, ALIGNED_DEG = 3, 2, 3.0
 TOUCHING = 1.5  # sum of the widths of two places in the pupil, within which they are one of another shape
 
@@ -83,6 +84,9 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
         return RESEMBLES, f"{copies} copies of the star in one direction, as a detector makes them"
     if name := one_place_twice(search.final.fitted):
         return RESEMBLES, f"{name} is twice in one place of the pupil, and makes another shape"
+    places = Counter(one.name for one in names if isinstance(one.refit.base, PupilPlace))
+    if name := next((name for name, count in places.items() if count >= IN_A_ROW), ""):
+        return RESEMBLES, f"{name} is in {places[name]} places of the pupil, which make another shape"
     if left and max(shares) < AT_ITS_PLACE[kind]:
         return RESEMBLES, f"{names[0].name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
     return (PARTIAL if left else COMPLETE), ""

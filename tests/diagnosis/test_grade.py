@@ -107,6 +107,14 @@ def test_on_sky_a_name_that_closes_little_by_itself_is_adjusted_where_much_is_le
     assert [*found.adjusted] == [one.name for one in names if one.name not in believed]
 
 
+@pytest.mark.parametrize(("count", "grade"), [(2, "complete"), (3, "resembles")])
+def test_three_places_of_the_pupil_stand_for_another_shape(graded, count, grade):
+    names = [name("pupil_spot", False) for _ in range(count)]
+    for one in names:
+        one.refit.base = PupilSpot()
+    assert graded(search(0.0, *names), PHOTONS, gap(0.9)).grade == grade
+
+
 @pytest.mark.parametrize(
     ("angles_deg", "number"),
     [((30, 31, 29), 3), ((30, 150, 270), 0), ((30, 31), 0), ((91, 269), 2), ((0, 90), 0)],
