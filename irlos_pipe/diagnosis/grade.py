@@ -84,9 +84,10 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
         return RESEMBLES, f"{copies} copies of the star in one direction, as a detector makes them"
     if name := one_place_twice(search.final.fitted):
         return RESEMBLES, f"{name} is twice in one place of the pupil, and makes another shape"
-    places = Counter(one.name for one in names if isinstance(one.refit.base, PupilPlace))
-    if name := next((name for name, count in places.items() if count >= IN_A_ROW), ""):
-        return RESEMBLES, f"{name} is in {places[name]} places of the pupil, which make another shape"
+    present = Counter(one.name for one in search.final.fitted.effects)
+    places = (one.name for one in names if isinstance(one.refit.base, PupilPlace))
+    if name := next((name for name in places if present[name] >= IN_A_ROW), ""):
+        return RESEMBLES, f"{name} is in {present[name]} places of the pupil, which make another shape"
     if left and max(shares) < AT_ITS_PLACE[kind]:
         return RESEMBLES, f"{names[0].name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
     return (PARTIAL if left else COMPLETE), ""
