@@ -25,13 +25,11 @@ from scipy.stats import multivariate_t
 
 from benchmarks import harness
 from benchmarks.diagnose_suite.cases import SINGLE, Case, all_cases
-from benchmarks.diagnose_suite.making import CUBE, make_case
-from benchmarks.diagnose_suite.working import RECIPES, key_of, settings_of
+from benchmarks.diagnose_suite.making import make_case
+from benchmarks.diagnose_suite.working import diagnosed, key_of
 from benchmarks.harness import Outcome, Suite
 from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.posterior import Laplace
-from irlos_pipe.pipeline import run_recipe
-from irlos_pipe.recipe import load_recipe
 
 SEED = 602214076  # of the reported audit
 DRAWS, FREEDOM = 300, 5.0  # of Student's law, whose tails are longer than those of what is drawn
@@ -102,14 +100,12 @@ def outcome_of(case: Case, output: Path) -> Outcome:
     for leftover in (data, run):
         shutil.rmtree(leftover, ignore_errors=True)
     truth = make_case(case, data, output / "truth")
-    inputs = [f"{CUBE}={data / CUBE}"]
     with last_posteriors() as found:
-        recipe = load_recipe(RECIPES / f"{case.setting.recipe}.yaml", settings_of(case.model_effects), inputs)
-        run_recipe(recipe, run)
+        diagnosed(case, data, run, case.model_effects)
     rows, rng = {}, np.random.default_rng(case.seed)
     for laplace in found:
-        for effect in laplace.fitted.effects:
-            label = laplace.fitted.problem.effects.labels[laplace.fitted.effects.index(effect)]
+        for label in laplace.fitted.problem.effects.labels:
+            effect = laplace.fitted.effect(label)
             if effect.parameters and (effect.name in case.effects or effect.base.copies_star):
                 rows[label] = audited(laplace, label, rng)
     return {"case": case.name, "truth": {"suite_seed": truth["suite_seed"]}, "audit": rows}
@@ -130,10 +126,10 @@ SUITE = Suite(outcome_of, key_of, report, inside="audits")
 
 @click.command()
 @harness.options(SEED)
-def main(seed: int, only: str, sample: int | None, **how) -> None:
+def main(seed: int, **how) -> None:
     """Sample the posteriors of the suite's single effects beside mild errors."""
     cases = [one for one in all_cases(seed, dirty=True) if one.kind == SINGLE and one.dirty]
-    harness.run(SUITE, harness.chosen(cases, only, sample), **how)
+    harness.run(SUITE, cases, **how)
 
 
 if __name__ == "__main__":

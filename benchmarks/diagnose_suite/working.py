@@ -44,14 +44,14 @@ def outcome_of(case: Case, output: Path) -> Outcome:
     began = time.process_time()
     truth = make_case(case, data, output / "truth")
     made = time.process_time()
-    diagnosis = _diagnosed(case, data, run, case.model_effects)
+    diagnosis = diagnosed(case, data, run, case.model_effects)
     ended = time.process_time()
     errors_nm = None if case.is_ramp else _rms_nm(diagnosis, truth["mean_zernike_nm"][CUBE])
     biases_nm = None
     # It is worth while to fit the true model; of mild errors there is none.
     if case.kind == SINGLE and not case.dirty and errors_nm["before"] > BIASED_NM:
         # The same frames are fitted, so the noise and speckles that they share are no part of the bias.
-        true_model = _diagnosed(case, data, reference, case.true_model(truth["known"]))
+        true_model = diagnosed(case, data, reference, case.true_model(truth["known"]))
         best_nm = true_model["zernike_nm"]["before"]
         biases_nm = _rms_nm(diagnosis, {noll: best_nm[str(noll)] for noll in NOLLS})
     return {
@@ -65,7 +65,7 @@ def outcome_of(case: Case, output: Path) -> Outcome:
     }
 
 
-def _diagnosed(case: Case, data: Path, output: Path, effects: Sequence[Any] | None) -> dict[str, Any]:
+def diagnosed(case: Case, data: Path, output: Path, effects: Sequence[Any] | None) -> dict[str, Any]:
     """Run the recipe of the case, its model with other `effects` if there are any; what `diagnose` says."""
     recipe = "diagnose_ramp" if case.is_ramp else case.setting.recipe
     inputs = [f"{name}={data / name}" for name in ((RAMP, CALIBRATION) if case.is_ramp else (CUBE,))]

@@ -15,7 +15,7 @@ from functools import cached_property, partial, reduce
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import MAS, resolution_px
+from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.acceptance import DECIDED, Accepted, Search, gap_between, preference
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
@@ -52,10 +52,8 @@ FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change 
 FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
 SIDES = 2  # that are followed to their end, those on which all else has made the most of it
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
-FINER, LEAST = (
-    0.5,
-    0.02,
-)  # by which steps of a search for a place get smaller, and the last, of the range or λ/D
+FINER = 0.5  # by which the steps of a search for a place get smaller
+LEAST = 0.02  # and the last of them, of the range or λ/D
 
 
 @dataclass(frozen=True)
@@ -156,19 +154,20 @@ class EvidenceTask(Task):
         """The fit with the effect of the best odds, and their inflation; None if none is worth it."""
         likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
         tried = [
-            ((other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation), score, other)
+            ((other.log_evidence - laplace.log_evidence) / inflation, inflation, other)
             for score, other in zip(likely, ordered_map(partial(self._joined, laplace), likely), strict=True)
             if other is not None
+            for inflation in [max(1.0, score.inflation)]
         ]
         self.report(1)
         if not tried:
             return None
-        odds, score, best = max(tried, key=lambda one: one[0])
+        odds, inflation, best = max(tried, key=lambda one: one[0])
         if odds < WORTH:
             return None
         known = {*laplace.fitted.problem.effects.labels}
         label = next(one for one in best.fitted.problem.effects.labels if one not in known)
-        return self._in_best_form(best, label, wider=True), max(1.0, score.inflation)
+        return self._in_best_form(best, label, wider=True), inflation
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
@@ -478,10 +477,7 @@ def _refined(laplace: Laplace, score: Score) -> Score:
     base, free = score.candidate.base, [one.name for one in score.candidate.parameters]
     places = [i for i, one in enumerate(base.parameters) if one.null is None]  # and widths
     lower, upper = (np.array([getattr(base.parameters[i], n) for i in places]) for n in ("lower", "upper"))
-    span = upper - lower
-    if base.copies_star:
-        settings = laplace.settings
-        span = np.full(len(places), settings.shortest_m / settings.geometry.diameter_m / MAS)
+    span = np.full(len(places), laplace.settings.resolution_mas) if base.copies_star else upper - lower
     best = scored(laplace, score.trials, (score.candidate.acts_in,), [score.candidate])[0]
     at = best.candidate.all_values(best.candidate.null_values).numpy()
     step = 0.1

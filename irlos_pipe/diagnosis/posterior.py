@@ -584,9 +584,10 @@ class Linear:
         if not nulls:
             return math.inf
         # The priors of the effect count with it only: of sizes at nothing, of places where they are.
-        without = torch.tensor([nulls.get(column, float(self.x[column])) for column in own])
+        without = [nulls.get(column, float(self.x[column])) for column in own]
+        apart = torch.tensor(without, dtype=torch.float64) - self.posterior.prior_mean[own]
         precision = self.posterior.prior_precision[own]
-        penalty = float((precision * (without - self.posterior.prior_mean[own]) ** 2).sum())
+        penalty = float((precision * apart**2).sum())
         spread = float(torch.linalg.slogdet(self.covariance[own][:, own])[1] + precision.log().sum())
         return 0.5 * (self.rise_without(label) - penalty + spread)
 

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
-from irlos_pipe.conventions.units import MAS
 from irlos_pipe.diagnosis.null_model import FittedModel, significance_of
 from irlos_pipe.diagnosis.view import Placement
 from irlos_pipe.effects import Effect, FixedEffect
@@ -262,7 +261,8 @@ class _Bundle(Effect):
 
 
 RING_MAS, DIRECTIONS = 150.0, 8  # a ring of positions that say how faint a copy can be seen
-CLOSE = (0.8, 1.2, 1.7, 2.4)  # rings about the core [λ/D], where modes imitate copies
+# Rings about the core, where modes imitate copies, and how far positions along them are apart [λ/D].
+CLOSE, SPACED = (0.8, 1.2, 1.7, 2.4), 0.6
 
 
 def copies_in(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
@@ -296,10 +296,9 @@ def close_copies(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
 
     Those not resolved from a copy that the model has are left out.
     """
-    settings, known = optimum.settings, _copies(optimum, effect)
-    resolution_mas = settings.shortest_m / settings.geometry.diameter_m / MAS
+    resolution_mas, known = optimum.settings.resolution_mas, _copies(optimum, effect)
     places = [
-        place for ring in CLOSE for place in _ring(ring * resolution_mas, round(2 * np.pi * ring / 0.6))
+        place for ring in CLOSE for place in _ring(ring * resolution_mas, round(2 * np.pi * ring / SPACED))
     ]
     apart = RESOLVED * resolution_mas
     return [

@@ -35,7 +35,6 @@ import torch
 
 from irlos_pipe.conventions.pupil_drawing import placed
 from irlos_pipe.conventions.pupil_parts import Placement
-from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
@@ -196,9 +195,8 @@ def brightest_copies(
     y, x = (axis * scale for axis in np.meshgrid(rows, columns, indexing="ij"))
     inside = (np.abs(y) < settings.window[0] / 2 * scale) & (np.abs(x) < settings.window[1] / 2 * scale)
     gain[~inside | (np.hypot(x, y) < INNER_MAS)] = 0
-    resolution_mas = settings.shortest_m / settings.geometry.diameter_m / MAS
     for x_mas, y_mas in known_mas:  # two that cannot be resolved are one that is no copy
-        gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * resolution_mas] = 0
+        gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * settings.resolution_mas] = 0
     found = []
     for _ in range(POSITIONS):
         best = np.unravel_index(np.argmax(gain), gain.shape)

@@ -79,6 +79,11 @@ class PsfSettings:
         return min(self.spectrum)[0] * NM
 
     @property
+    def resolution_mas(self) -> float:
+        """λ/D at the shortest wavelength [mas]."""
+        return self.shortest_m / self.geometry.diameter_m / MAS
+
+    @property
     def mean_nm(self) -> float:
         """Mean wavelength of the photons [nm]."""
         return _joined(self.spectrum)[0]
