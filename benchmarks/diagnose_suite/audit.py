@@ -28,7 +28,7 @@ from benchmarks.diagnose_suite.cases import SINGLE, Case, all_cases
 from benchmarks.diagnose_suite.making import make_case
 from benchmarks.diagnose_suite.working import diagnosed, key_of
 from benchmarks.harness import Outcome, Suite
-from irlos_pipe.diagnosis.evidence import EvidenceTask
+from irlos_pipe.diagnosis.final import Final
 from irlos_pipe.diagnosis.posterior import Laplace
 
 SEED = 602214076  # of the reported audit
@@ -84,13 +84,13 @@ def audited(laplace: Laplace, label: str, rng: np.random.Generator) -> dict[str,
 def last_posteriors() -> Iterator[list[Laplace]]:
     """The posteriors with which searches end that are made inside."""
     found: list[Laplace] = []
-    names = EvidenceTask._named
+    named = Final.named
 
-    def seen(task: EvidenceTask, search, laplace: Laplace, *rest):
-        found.append(laplace)
-        return names(task, search, laplace, *rest)
+    def seen(final: Final, *rest):
+        found.append(final.laplace)
+        return named(final, *rest)
 
-    with patch.object(EvidenceTask, "_named", seen):
+    with patch.object(Final, "named", seen):
         yield found
 
 

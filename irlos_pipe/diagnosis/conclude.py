@@ -59,6 +59,9 @@ def conclude(
     covariances = Covariances(search.final.stack, search.final.fitted)
     rows = zip(search.accepted, judgement.shares, strict=True)
     steps = [*_drift_steps(cube, search, options), *(_step(one, covariances, share) for one, share in rows)]
+    nearest = None
+    if (one := search.nearest) is not None:
+        nearest = _step(one, covariances, share_at_its_place(one, search.final))
     final, after = (search.null, before) if why else (plain, after)
     left_fine = fine_structure(search.null) if why else fine
     flat = 0.0
@@ -86,7 +89,7 @@ def conclude(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
         grade=judgement.grade if why or not known else PARTIAL if left else COMPLETE,
         steps=known,
-        nearest=(steps[0] if steps else _nearest(search)) if why else None,
+        nearest=(steps[0] if steps else nearest) if why else None,
         unexplained=bool(why) or left,
         why_unknown=why,
         adjusted=_adjusted(search, covariances) if not why else [],
@@ -133,7 +136,7 @@ def _detectable(search: Search, options: Options, testable: Sequence[Score]) -> 
     if search.drift and search.drift.significance < options.sure:
         drift = search.drift.effect().base
         limits[drift.name] = drift.describe(search.drift.detectable_nm(options.sure))
-    if not any(one.refit.effect.found_by == "pixels" for one in search.accepted):
+    if not any(one.effect.found_by == "pixels" for one in search.accepted):
         limits |= smallest_excess(search.final)
     return limits
 
@@ -144,7 +147,7 @@ def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> S
         pair
         for one in search.accepted
         if one.label == step.label
-        for pair in seconds.separating(one.refit, one.rivals)
+        for pair in seconds.separating(one, one.rivals)
     ]
     alternatives = [
         replace(other, second_recording=recording, likeness_then=cosine)
@@ -169,23 +172,14 @@ def _adjusted(search: Search, covariances: Covariances) -> list[Adjusted]:
 # -- names -------------------------------------------------------------------------------------
 
 
-def _nearest(search: Search) -> Step | None:
-    """What came nearest where nothing was named, as the model had it in which it was found."""
-    if search.nearest is None:
-        return None
-    refit = search.nearest.refit
-    covariances = Covariances(refit.optimum.stack, refit.fitted)
-    return _step(search.nearest, covariances, share_at_its_place(refit, refit.optimum))
-
-
 def _step(accepted: Accepted, covariances: Covariances, share: float) -> Step:
     """A name as the model has it whose covariances are given."""
-    refit, label = accepted.refit, accepted.label
+    label = accepted.label
     return Step(
-        **_sizes(refit.base, covariances.fitted.values_of(label), covariances.of(label)),
+        **_sizes(accepted.base, covariances.fitted.values_of(label), covariances.of(label)),
         share=share,
-        significance=refit.significance,
-        explained=accepted.ranking[0].explained,
+        significance=accepted.significance,
+        explained=accepted.explained,
         preference=accepted.preference,
         gap=accepted.gap,
         alternatives=accepted.alternatives,

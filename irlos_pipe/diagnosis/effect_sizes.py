@@ -8,7 +8,7 @@ import numpy as np
 
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
-from irlos_pipe.diagnosis.null_model import surely_exceeding, threshold
+from irlos_pipe.diagnosis.null_model import SURE, surely_exceeding
 from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.effects import Parameter
 from irlos_pipe.effects.public_values import public_difference
@@ -118,10 +118,16 @@ def within_reach(score: Score, *, plausible: bool = False) -> bool:
 
 
 def _surely_seen(score: Score) -> np.ndarray:
-    """Size of each parameter alone that would surely be seen; infinite where none would be, (parameters,)."""
+    """Size of each parameter alone whose odds would surely be for a name; infinite where none would be.
+
+    The odds of an effect are half of the fall of χ² less what the width of its prior costs, see
+    `scores.Score.log_odds`; of a place, as many trials as there are places. Shape (parameters,).
+    """
+    priors = np.array([one.proper_prior[1] for one in score.candidate.parameters])
     tested = int(np.isfinite(score.smallest).sum())
-    gain = surely_exceeding(threshold(tested, score.trials), tested) if tested else 1.0
-    return score.smallest * np.sqrt(gain)
+    width = np.log1p((priors / score.smallest) ** 2).sum()
+    limit = 2 * (SURE + np.log(score.trials)) + width
+    return score.smallest * np.sqrt(surely_exceeding(limit, max(tested, 1)))
 
 
 def _flat(value: Any) -> list[float]:

@@ -30,11 +30,9 @@ from irlos_pipe.numerics.solver import CHI2_TOLERANCE, INVALID, CheapGradientPro
 
 PRIOR_SCALE = 3.0  # width of the prior over the law of the NCPAs
 MAX_ITERATIONS = 60
-PATIENCE = 4  # times that a fit goes on at most
-CONVERGED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, below which a fit has converged
 SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
 EXPLORING = 30  # iterations after which it is known whether a fit is promising
-ROUGHLY = 0.1  # fall of χ² ahead, in the same units, at which that is known
+ROUGHLY = 0.1  # fall of χ² ahead, in units of χ²/ν where the model misfits, at which that is known
 
 
 class Fitter:
@@ -58,18 +56,6 @@ class Fitter:
         """Fit `effects` from a fit `near` by to a loose tolerance: enough to rank candidates."""
         problem = self.problem(effects, self.views, ROUGHLY)
         return self._solved(problem, self.start(problem, near), iterations)
-
-    def finished(self, fitted: Fitted) -> Fitted:
-        """What was explored, continued until it converges or falls no further, if patience allows."""
-        for _ in range(PATIENCE):
-            before = fitted
-            if not np.isfinite(before.chi2) or (before.converged and not before.explored):
-                break
-            fitted = self._solved(self.problem(before.continued(), self.views), before.x)
-            scatter = max(1.0, fitted.chi2 / fitted.problem.freedom)
-            if not before.explored and before.chi2 - fitted.chi2 < CONVERGED * scatter:
-                break
-        return fitted
 
     def twin(self, fitted: Fitted) -> Fitted:
         """The fit that starts from the twin of another one, (φ(u) → −φ(−u))."""
@@ -261,11 +247,6 @@ class Fitted:
     def converged(self) -> bool:
         """Whether the solver says so."""
         return bool(self.solution.converged[0])
-
-    @property
-    def explored(self) -> bool:
-        """Whether it was fitted to a loose tolerance only."""
-        return self.problem.tolerance > CHI2_TOLERANCE
 
     def effect(self, label: str) -> Effect:
         return self.effects[self.problem.effects.labels.index(label)]

@@ -7,13 +7,12 @@ from itertools import combinations
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.acceptance import Accepted, Comparison, Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import FineStructure, Gap, NoiseVerdict
-from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
 from irlos_pipe.effects.pupil_places import PupilPlace
 
@@ -63,7 +62,7 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, o
         search = without_ordinary_facts(search)
     if left and noise.kind != PHOTONS:
         search = without_minor_names(search)
-    shares = [share_at_its_place(one.refit, search.final) for one in search.accepted]
+    shares = [share_at_its_place(one, search.final) for one in search.accepted]
     grade, why = _graded(search, shares, noise.kind, left, options.sure)
     if grade == NONE and fine.significance > options.sure:
         grade = UNKNOWN
@@ -78,14 +77,14 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
         null = search.null.excess  # what is only adjusted may stand in for what was missing at first
         missing = left or (null.significance > sure and null.chi2_nu > LEFT_CHI2_NU[kind])
         return (UNKNOWN, _unexplained(search, left)) if missing else (NONE, "")
-    if kind == PHOTONS and any(one.refit.effect.speckles for one in names):
+    if kind == PHOTONS and any(one.effect.speckles for one in names):
         return RESEMBLES, "a halo without the speckles that an AO residual makes from frame to frame"
     if copies := copies_in_a_row(search.final.fitted):
         return RESEMBLES, f"{copies} copies of the star in one direction, as a detector makes them"
     if name := one_place_twice(search.final.fitted):
         return RESEMBLES, f"{name} is twice in one place of the pupil, and makes another shape"
     present = Counter(one.name for one in search.final.fitted.effects)
-    places = (one.name for one in names if isinstance(one.refit.base, PupilPlace))
+    places = (one.name for one in names if isinstance(one.base, PupilPlace))
     if name := next((name for name in places if present[name] >= IN_A_ROW), ""):
         return RESEMBLES, f"{name} is in {present[name]} places of the pupil, which make another shape"
     if left and max(shares) < AT_ITS_PLACE[kind]:
@@ -117,7 +116,7 @@ def without_ordinary_facts(search: Search) -> Search:
     Where something is missing that no name explains, the facts take up a part of it: values as any instrument
     has them do not tell whether they are its own.
     """
-    return _adjusting(search, [one for one in search.accepted if one.refit.base.fact and one.ordinary])
+    return _adjusting(search, [one for one in search.accepted if one.base.fact and one.ordinary])
 
 
 def without_minor_names(search: Search) -> Search:
@@ -127,7 +126,7 @@ def without_minor_names(search: Search) -> Search:
     symmetric takes up a part of it, significantly, in frames that no fit has seen as well. A copy of the star
     has a place of its own, where little may be left (`share_at_its_place`).
     """
-    minor = [one for one in search.accepted if one.gap.closed < BY_ITSELF and not one.refit.base.copies_star]
+    minor = [one for one in search.accepted if one.gap.closed < BY_ITSELF and not one.base.copies_star]
     return _adjusting(search, minor)
 
 
@@ -180,7 +179,7 @@ def much_is_left(search: Search, kind: str, sure: float) -> bool:
     return much and final.chi2 > LEFT[kind] * null.chi2
 
 
-def share_at_its_place(one: Refit, final: Optimum) -> float:
+def share_at_its_place(one: Comparison, final: Optimum) -> float:
     """Part of a name's own signal that the `final` model with it explains where that signal lies.
 
     The signal is the change of the image by the name that no other parameter imitates. Its square weighs the

@@ -18,6 +18,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, frozen_effects
 from irlos_pipe.optics.psf_settings import PsfSettings
 
+SURE = 25.0  # ln odds from which an effect is named: those of false ones reached 14 in tuning runs
 FAR_OFF = 3.0  # χ² over its expectation that no complete model leaves, however much was missing before
 
 
@@ -121,16 +122,6 @@ class Optimum(FittedModel):
         expected, sigma = self.stack.chance(self.basis)
         return Excess(float(self.residual @ self.residual) - expected, sigma, expected)
 
-    def excess_in(self, moment: int) -> float:
-        """χ² beyond noise of the recordings of one `moment`."""
-        pairs = zip(self.fitted.views, self.fitted.problem.pixels, strict=True)
-        pixels = [at for view, at in pairs if view.moment == moment]
-        if len(pixels) == len(self.fitted.views):
-            return self.excess.chi2
-        chi2 = sum(float(self.residual[at] @ self.residual[at]) for at in pixels)
-        share = sum(int((self.root[at] > 0).sum()) for at in pixels) / int((self.root > 0).sum())
-        return chi2 - share * self.excess.expected
-
 
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames, at most
 SURELY = 0.95  # probability with which an effect of the smallest detectable size is seen
@@ -175,14 +166,6 @@ def gaussian_sigma(hotelling: float, directions: int, frames: float, trials: int
         scale = directions * (freedom + directions - 1)
         tail = _log_tail_of_f(hotelling * freedom / scale, directions, freedom)
     return float(max(-special.ndtri_exp(min(tail + np.log(trials), np.log(0.5))), 0.0))
-
-
-def threshold(parameters: int, trials: int) -> float:
-    """Fall of χ² that chance does not reach, over many data sets with small errors of the model.
-
-    `parameters` were fitted to the best of `trials`.
-    """
-    return parameters + 6 * np.sqrt(2 * parameters) + 20 + 2 * np.log(trials)
 
 
 def surely_exceeding(limit: float, directions: int) -> float:

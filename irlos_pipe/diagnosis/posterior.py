@@ -444,6 +444,20 @@ class Laplace(FittedModel):
         scatter = ((left.mT @ self._deviations) ** 2).sum(1) / gram.diagonal().clamp_min(1e-300)
         return gram * float(scatter.mean().clamp_min(1.0))
 
+    @property
+    def alike_px(self) -> float:
+        """Number of pixels that what a model misses changes alike: those of an Airy disc."""
+        settings = self.settings
+        across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+        return max(1.0, np.pi / 4 * across_px**2)
+
+    @cached_property
+    def misfit(self) -> float:
+        """χ²/ν with the error of the flat in the variances, and none of the model."""
+        root = self.stack.with_errors(self.posterior.covariance.flat_rms).root
+        white = (self.stack.mean_e - self.image) * root
+        return float(white @ white) / self.fitted.problem.freedom
+
     def making_room(self, shape: torch.Tensor) -> torch.Tensor:
         """How parameters move that imitate a whitened shape (pixels,) where it is added, (parameters,)."""
         inside = torch.linalg.solve_triangular(self.factor.mT, (self.basis.mT @ shape)[:, None], upper=True)

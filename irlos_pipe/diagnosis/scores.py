@@ -10,8 +10,8 @@ import torch
 from scipy.special import logsumexp
 
 from irlos_pipe.diagnosis.null_model import FittedModel, significance_of
-from irlos_pipe.diagnosis.view import Placement
-from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.diagnosis.view import Moments, Placement
+from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
 from irlos_pipe.estimate.score_test import (
     ABSORBED,
     RESOLVED,
@@ -40,6 +40,49 @@ class Family:
     def effect(self) -> Effect:
         """The first of the variants."""
         return self.variants[0]
+
+
+def families(moments: Moments, present: Sequence[Effect]) -> tuple[list[Family], list[str]]:
+    """Families for all moments, and of several for single stars or moments, unless `present` there already.
+
+    A wider form of an effect is looked for by itself where it belongs to something else: of several stars a
+    companion belongs to one, a ghost to all. Returned as well are the effects that mean nothing under these
+    conditions.
+    """
+    found, meaningless = [], []
+    for name, kind in CATALOGUE.items():
+        if kind.found_by != "score" or (kind.widens and not _apart(kind, moments)):
+            continue
+        placements: list[Placement] = [None] if kind.widens else moments.placements(kind)
+        open_ = [one for one in placements if kind.repeatable or not _taken(name, one, present)]
+        try:
+            found += _families(kind, moments, open_)
+        except ValueError:
+            meaningless.append(name)
+    return found, meaningless
+
+
+def _families(kind: type[Effect], moments: Moments, placements: Sequence[Placement]) -> list[Family]:
+    """One family where the effect is the same in all moments, else one for each placement."""
+    if kind.belongs_to == "instrument" and None in placements:
+        return [Family(kind.variants(moments.conditions_of(None)), placements=placements)]
+    found = []
+    for where in placements:
+        variants = kind.variants(moments.conditions_of(where))
+        placed = tuple(one.only_in(where) for one in variants)
+        found.append(Family(placed, len(placements), (where,)))
+    return found
+
+
+def _apart(kind: type[Effect], moments: Moments) -> bool:
+    """Whether recordings of these moments distinguish a wider form from what it is a wider form of."""
+    return len(moments.by_star) > 1 and CATALOGUE[kind.widens].belongs_to != kind.belongs_to
+
+
+def _taken(name: str, placement: Placement, present: Sequence[Effect]) -> bool:
+    """Whether the model has an effect of this `name` in some of the moments."""
+    acting = [one.acts_in for one in present if one.name == name]
+    return any(placement is None or one is None or placement & one for one in acting)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,13 +13,12 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.bands import H, J
-from irlos_pipe.diagnosis.acceptance import likeness
+from irlos_pipe.diagnosis.acceptance import Comparison, likeness
 from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.effect_sizes import detectable, within_reach
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.records import Advice
-from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.scores import Score, whitened_shapes
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
@@ -55,7 +54,7 @@ class SecondRecordings:
         recording, best = max(useful, key=lambda pair: pair[1].observability)
         return Advice(recording, best.observability, detectable(best))
 
-    def separating(self, one: Refit, others: Sequence[Refit]) -> list[tuple[str, float]]:
+    def separating(self, one: Comparison, others: Sequence[Comparison]) -> list[tuple[str, float]]:
         """For each of the `others` the recording with which it is least like `one`, and how much it still is.
 
         All are from the same origin.

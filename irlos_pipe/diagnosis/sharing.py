@@ -48,11 +48,11 @@ def sharing(
     others = fitted.continued_by_label()
     chosen = [others.pop(label) for label in [*others] if label in labels]
     own = [_own_of(number, chosen) for number in moments.by_number]
-    apart = fitter.finished(fitter.explored([*others.values(), *own], fitted))
+    apart = fitter.fit([*others.values(), *own], fitted)
     one_for_all = FixedEffect(
         chosen[0].base.only_in(None), _values_of(chosen[0]), [p.name for p in chosen[0].parameters]
     )
-    together = fitter.finished(fitter.explored([*others.values(), one_for_all], fitted))
+    together = fitter.fit([*others.values(), one_for_all], fitted)
     stack = cube.training
     misfit = max(1.0, Optimum(stack, apart).excess.chi2_nu)  # what both models miss is no difference
     more = len(apart.effect_values) - len(together.effect_values)
@@ -71,19 +71,6 @@ def sharing(
     differs = significance > sure and z > DECIDED
     finding = "differs" if differs else "common" if seen > 1 else "open"
     return SharingRow(labels[0], finding, significance, together.chi2 - apart.chi2, more, z, values)
-
-
-def seen_in(comparison: SharingRow, moments: Moments) -> list[int]:
-    """Return the numbers of the moments that are alone enough to show the effect."""
-    own = [one.significance for one in comparison.values]
-    return [number for number, one in zip(moments.by_number, own, strict=True) if one >= min(SEEN, max(own))]
-
-
-def parted(numbers: Sequence[int], fitted: Fitted, label: str) -> list[Effect]:
-    """Effects of a model with a value of its own of the effect `label` for each moment of the `numbers`."""
-    others = fitted.continued_by_label()
-    one = others.pop(label)
-    return [*others.values(), *(_own_of(number, [one]) for number in numbers)]
 
 
 def _values_of(effect: Effect) -> np.ndarray:

@@ -9,13 +9,11 @@ import torch
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
 from irlos_pipe.diagnosis.cube import Cube, cubes_of
-from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import Report
-from irlos_pipe.diagnosis.grade import much_is_left
 from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import OppositeSide
+from irlos_pipe.diagnosis.search import Report, Task
 from irlos_pipe.diagnosis.sharing import together
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis
 from irlos_pipe.diagnosis.view import Exposures, Moments
@@ -44,11 +42,7 @@ def diagnose(
 
     views = [one.view(range(2, options.highest_noll + 1), device) for one in recordings]
     fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
-    task = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
-    search = task.searched(effects)
-    further = any(one.significance > options.sure for one in search.scores)
-    if (search.accepted and further) or much_is_left(search, noise.kind, options.sure):
-        search = task.beyond(search, effects)
+    search = Task(cube, fitter, moments, options, report, noise.kind).searched(effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
 
     def opposite(label: str) -> OppositeSide | None:

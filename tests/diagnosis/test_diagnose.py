@@ -92,10 +92,11 @@ def test_every_effect_of_the_catalogue_is_said_to_be_named_or_why_not():
     assert all(one.reason for one in found.values() if one.outcome != "named")
 
 
-def test_a_name_that_lost_says_what_data_that_no_fit_has_seen_say_of_it():
-    first, *others = diagnosis_of("ghost").steps[0].ranking
-    assert (first.name, first.held_out_z) == ("ghost", 0)
-    assert others and all(one.held_out_z > 3 for one in others)
+def test_a_rival_has_what_data_that_no_fit_has_seen_say_of_it():
+    first, *others = diagnosis_of("companion").steps[0].ranking
+    assert (first.name, first.held_out_z) == ("companion", 0)
+    assert [one.name for one in others] == ["ghost"]  # as sharp, it makes the same image
+    assert abs(others[0].held_out_z) < 3
 
 
 def test_an_opaque_disc_is_a_spot_where_it_is():
@@ -105,7 +106,7 @@ def test_an_opaque_disc_is_a_spot_where_it_is():
     assert [found.public[key] for key in ("x_m", "y_m")] == pytest.approx(SPOT_M, abs=0.05)
     added = diagnosis.pictures.added_amplitude
     assert added.min() < -0.9
-    assert np.mean(np.abs(added) > 1e-6) < 0.1  # the edges of the pupil are where they were
+    assert np.mean(np.abs(added) > 0.05) < 0.1  # elsewhere the pupil is almost as it was
 
 
 @pytest.mark.long

@@ -30,7 +30,7 @@ from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
 from irlos_pipe.diagnosis.cube import without_blocks_of_time
 from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
-from irlos_pipe.diagnosis.null_model import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.null_model import SURE, gaussian_sigma
 from irlos_pipe.diagnosis.records import Gap
 from irlos_pipe.diagnosis.scores import (
     Family,
@@ -177,13 +177,17 @@ def test_a_linear_size_is_near_the_true_one_when_the_effect_is_weak():
 
 @pytest.mark.slow
 def test_the_smallest_detectable_size_is_nearly_always_detected():
-    """Monte Carlo over 10 cubes: beyond the threshold by the 1.645 σ of 95 %, ±3 errors of the mean."""
+    """Monte Carlo over 10 cubes: beyond the odds of a name by the 1.645 σ of 95 %, ±3 errors of the mean."""
     jitter = Family((TipTiltJitter(),))
     null = score_family(optimum(cube(image(), 3).training), jitter)
     size = detectable(null)["sigma_mas"]
     stacks = [cube(image(effect=TipTiltJitter(), values=[size**2]), seed).training for seed in range(10)]
-    pulls = [score_family(optimum(stack), jitter).gain ** 0.5 for stack in stacks]
-    expected = threshold(1, null.trials) ** 0.5 + 1.645
+    found = [score_family(optimum(stack), jitter) for stack in stacks]
+    assert sum(one.log_odds > SURE for one in found) >= 8
+    pulls = [one.gain**0.5 for one in found]
+    width = TipTiltJitter().parameters[0].proper_prior[1] / null.smallest[0]
+    assert null.trials == 1
+    expected = (2 * SURE + np.log(1 + width**2)) ** 0.5 + 1.645
     assert np.mean(pulls) == pytest.approx(expected, abs=3 / np.sqrt(10))
 
 

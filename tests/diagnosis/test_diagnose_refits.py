@@ -13,62 +13,22 @@ from helpers import diagnose_frames
 from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, WINDOW, cube, frames, image, model, optimum
 from scipy import stats
 
-from irlos_pipe.diagnosis.acceptance import by_plausibility
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import families
-from irlos_pipe.diagnosis.null_model import gaussian_sigma
+from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.refit import refits
-from irlos_pipe.diagnosis.scores import Family, scores
-from irlos_pipe.diagnosis.view import Exposures, Moment, Moments, View
+from irlos_pipe.diagnosis.scores import scores
+from irlos_pipe.diagnosis.view import Exposures, View
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
 from irlos_pipe.effects.public_values import public_sigma
-from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.optics.psf import PsfModel
 
 
 def fitter_of(stack) -> Fitter:
     return Fitter([View(model(), CONDITIONS)], stack)
-
-
-def only(*names: str) -> list[Family]:
-    """Families of these effects."""
-    every, _ = families(Moments({0: Moment("", "", CONDITIONS)}), [])
-    return [family for family in every if family.effect.name in names]
-
-
-def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
-    """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
-    stack = cube(image(effect=PlateScale(9.7), values=[-0.045]))
-    at_rest = optimum(stack.training)
-    present = only("plate_scale", "spectrum")
-    fitter = Fitter([View(model(), CONDITIONS)], stack.training)
-    ranked = refits(fitter, at_rest, scores(at_rest, present))
-    ranked.sort(key=lambda one: one.name)  # plate_scale first
-    first, second = by_plausibility(ranked, stack)
-    assert (first.name, second.name) == ("spectrum", "plate_scale")
-    assert second.implausible and not first.implausible
-
-
-@pytest.mark.slow
-def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64():
-    at_rest = optimum(cube(image() + 0.5 * np.arange(WINDOW)).training)
-    fitter = Fitter([View(model(), CONDITIONS)], at_rest.stack)
-    present = only(*{*CATALOGUE} - {"companion", "phase_bump", "pupil_misregistration"})
-    both = []
-    for count in (1, 2):
-        with workers(count), torch.no_grad():
-            both.append(refits(fitter, at_rest, scores(at_rest, present)))
-    one, two = both
-    assert [r.name for r in one] == [r.name for r in two] and len(one) > 1
-    assert all(torch.equal(r.fitted.x, other.fitted.x) for r, other in zip(one, two, strict=True))
-    assert (one[0].name, one[0].fitted.converged) == ("background_gradient", True)
-    assert one[0].fitted.problem.model.psf.dtype == torch.float64
 
 
 def test_priors_cost_what_they_cost_however_soon_a_fit_was_ended():
@@ -88,10 +48,10 @@ def test_two_hot_pixels_are_one_effect_of_both():
     at_rest = optimum(cube(mean).training)
     (found,) = scores(at_rest, bad_pixel_family(at_rest))
     assert (found.name, found.trials) == ("bad_pixels", WINDOW**2)
-    (fit,) = refits(fitter_of(at_rest.stack), at_rest, [found])
-    assert fit.base.describe(fit.values) == {"pixels": [[25, 8], [5, 22]]}
-    assert fit.values == pytest.approx([90.0, 60.0], abs=6.0)
-    assert abs(fit.excess.significance) < 4
+    fit = fitter_of(at_rest.stack).fit([found.whole()])
+    assert fit.effect(found.name).base.describe(fit.values_of(found.name)) == {"pixels": [[25, 8], [5, 22]]}
+    assert fit.values_of(found.name) == pytest.approx([90.0, 60.0], abs=6.0)
+    assert abs(Optimum(at_rest.stack, fit).excess.significance) < 4
 
 
 def test_a_significance_far_beyond_the_range_of_the_f_distribution_is_finite_and_right():
@@ -120,14 +80,6 @@ def test_what_a_direction_without_size_does_not_determine_has_no_error_and_spoil
     found = determined(stop.parameters, covariance)
     assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(known)
     assert (found[1] == 0).all() and (found[:, 1] == 0).all()
-
-
-def test_a_copy_of_the_star_is_tried_out_of_focus():
-    companion = CATALOGUE["companion"].under(CONDITIONS)
-    training = cube(image(effect=companion, values=(0.02, 150.0, 40.0))).training
-    origin = optimum(training)
-    found = refits(fitter_of(training), origin, scores(origin, only("companion")))
-    assert {one.name for one in found} == {"companion", "ghost"}
 
 
 @pytest.mark.slow

@@ -9,16 +9,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, cube, fitted, image, model
+from helpers.diagnose_frames import CASE, CONDITIONS, cube, fitted, image, model
 
-from irlos_pipe.diagnosis.acceptance import Options, choose
-from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
+from irlos_pipe.diagnosis.conclude import _adjusted
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter, begun_at
 from irlos_pipe.diagnosis.null_model import SURELY, Optimum, gaussian_sigma, surely_exceeding
 from irlos_pipe.diagnosis.opposite import open_facts, opposite_side, other_side
-from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.scores import Family, score_family
 from irlos_pipe.diagnosis.verdict import Adjusted
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import CATALOGUE, FixedEffect, everyday
@@ -93,19 +90,6 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
     assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
     assert one.significance == pytest.approx(one.public["flux_ratio"] / one.sigma["flux_ratio"])
     assert one.phrase.startswith("a second source of ")
-
-
-def test_where_nothing_is_named_the_nearest_is_said_with_its_size():
-    data = cube(image(effect=COMPANION, values=(0.02, 150.0, 40.0)))
-    origin = Optimum(data.training, fitted(data.training))
-    score = score_family(origin, Family((COMPANION,)))
-    refit = Refit(score, origin, fitted(data.training, [score.start()]))
-    options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
-    step = _nearest(SimpleNamespace(nearest=choose([refit], data, options)))
-    assert step.effect.name == "companion"
-    assert step.public["flux_ratio"] == pytest.approx(0.02, abs=5 * step.sigma["flux_ratio"])
-    assert step.share > 0.9
-    assert _nearest(SimpleNamespace(nearest=None)) is None
 
 
 # -- facts that are left free --------------------------------------------------------------------

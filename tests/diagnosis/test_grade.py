@@ -35,8 +35,8 @@ def model(chi2: float, *names: str) -> SimpleNamespace:
 def name(effect: str, ordinary: bool, closed: float = 0.9) -> SimpleNamespace:
     """An accepted name that closes a part of the gap without it."""
     base = SimpleNamespace(fact=effect == "plate_scale", copies_star=effect == "companion")
-    refit = SimpleNamespace(label=effect, base=base, effect=SimpleNamespace(speckles=False))
-    return SimpleNamespace(name=effect, label=effect, ordinary=ordinary, refit=refit, gap=gap(closed))
+    of = {"base": base, "effect": SimpleNamespace(speckles=False), "gap": gap(closed)}
+    return SimpleNamespace(name=effect, label=effect, ordinary=ordinary, **of)
 
 
 def search(left: float, *names: SimpleNamespace) -> Search:
@@ -111,7 +111,7 @@ def test_on_sky_a_name_that_closes_little_by_itself_is_adjusted_where_much_is_le
 def test_three_places_of_the_pupil_stand_for_another_shape(graded, count, grade):
     names = [name("pupil_spot", False) for _ in range(count)]
     for one in names:
-        one.refit.base = PupilSpot()
+        one.base = PupilSpot()
     assert graded(search(0.0, *names), PHOTONS, gap(0.9)).grade == grade
 
 

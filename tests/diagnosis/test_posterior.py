@@ -10,11 +10,10 @@ import torch
 from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, model
 from scipy.stats import multivariate_normal
 
-from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import Task
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.posterior import Covariance, Linear, Posterior, WavefrontLaw, with_visible_modes
+from irlos_pipe.diagnosis.search import Task
 from irlos_pipe.diagnosis.view import Exposures, Moments, View
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
@@ -136,11 +135,8 @@ def searched(effects, declared=()):
     fitter = Fitter([View(model(), CONDITIONS)], data.training)
     moments = Moments.of([Exposures(data.training.parts[0].frames, CONDITIONS)])
     options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
-    plain = Task(data, fitter, moments, options, lambda count: None)
-    null = plain.searched_from(fitted(data.training, declared))
-    return EvidenceTask(data, fitter, moments, options, lambda count: None, "photon-limited").beyond(
-        null, declared
-    )
+    task = Task(data, fitter, moments, options, lambda count: None, "photon-limited")
+    return task.searched_from(fitted(data.training, declared), declared)
 
 
 @pytest.mark.slow

@@ -21,9 +21,8 @@ from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation
 from irlos_pipe.diagnosis.checks.drift import measure_drift
 from irlos_pipe.diagnosis.cube import without_blocks_of_time
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import families
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.scores import scores
+from irlos_pipe.diagnosis.scores import families, scores
 from irlos_pipe.diagnosis.view import Exposures, Moment, Moments
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.colour import PlateScale

@@ -1,0 +1,413 @@
+"""The search where nothing is exactly as declared: everything is free, and names are what has the evidence.
+
+At a telescope the pupil, the scale, the band and the wavefront all differ a little from what a profile
+states, and there is a little of every mild effect. All of it is fitted at once with its prior (`posterior`).
+What else may be missing is proposed by linear tests at the optimum and fitted jointly with everything; what
+has the best odds enters the model, until nothing has any. In the end an effect is named if the odds against
+its absence, and frames that no fit has seen, are clearly for it; what is not sure enough stays as adjusted.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.acceptance import Search
+from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
+from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
+from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.final import JOINTLY, WORTH, Final, is_lit
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.grade import copies_in_a_row
+from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.posterior import (
+    Covariance,
+    Laplace,
+    Posterior,
+    WavefrontLaw,
+    with_visible_modes,
+)
+from irlos_pipe.diagnosis.scores import (
+    Family,
+    Score,
+    close_copies,
+    families,
+    score_family,
+    scored,
+    scores,
+    whitened_shapes,
+)
+from irlos_pipe.diagnosis.view import Moments
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, everyday, in_other_forms
+from irlos_pipe.effects.effect_set import labels_of
+from irlos_pipe.effects.pupil_places import PupilPlace
+from irlos_pipe.estimate.starts import on_other_sides
+from irlos_pipe.numerics.parallel import ordered_map
+
+PROPOSALS = 8  # effects that are fitted alone at most
+ENOUGH = 3  # of them, which show whether a single one may explain what is missing
+HOPELESS = 0.1  # part of the fall of χ² by one that leaves nothing; what promises less needs no fit
+PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
+PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
+LOOKED_AT = 2  # effects fitted at once, those of the best odds
+FIRST, AGAIN = 16, 4  # iterations of the first fit, after a change of laws
+FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
+SIDES = 2  # that are followed to their end, those on which all else has made the most of it
+WITHIN = 1.0  # of a prior's σ, in which an effect begins
+FINER = 0.5  # by which the steps of a search for a place get smaller
+LEAST = 0.02  # and the last of them, of the range or λ/D
+
+Report = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A cube with the means to fit it."""
+
+    cube: Cube
+    fitter: Fitter
+    moments: Moments
+    options: Options
+    report: Report
+    kind: str  # of the noise
+
+    @property
+    def conditions(self) -> Conditions:
+        """Those of the first recording, for which effects are stated."""
+        return self.fitter.views[0].conditions
+
+    def searched(self, effects: Sequence[Effect]) -> Search:
+        """Find what a model with some `effects` is missing."""
+        return self.searched_from(self._null(effects), effects)
+
+    def searched_from(self, fitted: Fitted, effects: Sequence[Effect]) -> Search:
+        """The same from a fit of the model as it is: nothing, where no test there shows anything."""
+        null = Optimum(self.cube.training, fitted)
+        drift, current = self._with_drift(null)
+        found, meaningless = self._scores(current)
+        search = Search(null, current, drift, [], found, meaningless)
+        tests = [current.excess.significance, *(one.significance for one in found)]
+        if max(tests) < self.options.sure:
+            return search
+        alone = Optimum(self.cube.training, self._alone(current, found))
+        further = None
+        if alone.excess.significance < self.options.sure:
+            further, _ = self._scores(alone)
+            if any(one.significance > self.options.sure for one in further):
+                further = None
+        return self._beyond(search, effects, alone.fitted, further)
+
+    # -- the model as it is ----------------------------------------------------------------------
+
+    def _null(self, effects: Sequence[Effect]) -> Fitted:
+        """The fit without anything new, of it, its twins and one begun elsewhere the most plausible.
+
+        A changing wavefront has many false minima: the fit with it starts from that of a constant one.
+        """
+        constant = [effect for effect in effects if effect.plane != "time"]
+        near = self._null(constant) if len(constant) < len(effects) else None
+        found = [self.fitter.fit(effects, near)]
+        found.append(self.fitter.twin(found[0]))
+        if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
+            found.append(self.fitter.twin(found[1]))
+        if known_nm := self.options.begin_near_nm:
+            found.append(self.fitter.fit(effects, found[0].with_wavefront(known_nm)))
+        self.report(2)
+        return self.fitter.most_plausible(found)
+
+    def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
+        """The drift of the frames, and the model with it if it is significant."""
+        known = any(effect.found_by == "frames" for effect in null.fitted.effects)
+        if known or self.cube.training.held_out == "pixels":
+            return None, null
+        drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
+        if drift.significance < self.options.sure:
+            return drift, null
+        fitted = self.fitter.fit([*null.fitted.continued(), self._drifting(drift)], null.fitted)
+        return drift, Optimum(self.cube.training, fitted)
+
+    def _drifting(self, drift: Drift) -> FixedEffect:
+        """The drift as an effect, of several moments in the one in which it was seen."""
+        moment = self.fitter.views[drift.recording].moment
+        return drift.effect().only_in(frozenset({moment}) if self.moments.several else None)
+
+    def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
+        """Scores of all families that the model lacks; and what means nothing here."""
+        present = current.fitted.effects
+        missing, meaningless = families(self.moments, present)
+        if self.cube.training.held_out == "pixels":
+            meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
+        return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
+
+    def _alone(self, current: Optimum, found: Sequence[Score]) -> Fitted:
+        """The fit with the one effect that explains most, all else as declared.
+
+        It leads to where no fit of everything may come: what modes and facts take up together is far from
+        what a single effect does. It is fitted for those that promise most; less promising ones are left out
+        where the best leaves nothing, and all further ones where even that is far off. A fact of which the
+        model of everything has a rival instead has to show itself beside that.
+        """
+        usual = {one.name for one in everyday([view.conditions for view in self.fitter.views], ())}
+        tried = [one for one in found if one.name in usual or not one.candidate.base.fact]
+        promising = [score for score in tried if score.testable and score.gain > 0]
+        promising = sorted(promising, key=lambda one: -one.gain / one.inflation)[:PROPOSALS]
+
+        def worth(fitted: Fitted, inflation: float) -> float:
+            more = len(fitted.effect_values) - len(current.fitted.effect_values)
+            return current.fitted.chi2 - fitted.chi2 - PER_PARAMETER * inflation * more
+
+        best, most, left = current.fitted, 0.0, current.excess
+        for number, score in enumerate(promising):
+            if number >= ENOUGH and left.chi2_nu > FAR_OFF:
+                break
+            if left.significance < self.options.sure and score.gain < HOPELESS * most:
+                continue
+            one = self.fitter.explored([*current.fitted.continued(), score.whole()], current.fitted)
+            if np.isfinite(one.chi2) and worth(one, score.inflation) > most:
+                best, most = one, worth(one, score.inflation)
+                left = Optimum(self.cube.training, best).excess
+            self.report(1)
+        return best
+
+    # -- everything at once ----------------------------------------------------------------------
+
+    def _beyond(
+        self, search: Search, effects: Sequence[Effect], alone: Fitted, further: list[Score] | None
+    ) -> Search:
+        """Begin again with everything free, from `effects` and from what explains most `alone`.
+
+        Where this leaves nothing, the scores of all `further` effects are given: there everything is free for
+        the sake of the errors, and nothing more is looked for.
+        """
+        drift = search.drift
+        moving = [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
+        declared = [*effects, *moving]
+        conditions = [view.conditions for view in self.fitter.views]
+        fitter, few_colours = with_visible_modes(self.fitter.of(self.cube.training))
+        law = WavefrontLaw.of(self.conditions.ncpa_law, self.fitter.views[0].psf.nolls[-1])
+        covariance = Covariance.of(fitter.stack, fitter.views)
+
+        def begun(near: Fitted | None) -> Laplace:
+            known_effects = declared if near is None else near.continued()
+            whole = [*known_effects, *everyday(conditions, known_effects)]
+            posterior = Posterior(fitter, few_colours, whole, covariance, law)
+            return posterior.minimised(posterior.start(near), FIRST, roughly=True)
+
+        starts = ordered_map(begun, [None, alone] if further is None else [alone])
+        laplace = max(starts, key=lambda one: one.log_evidence)
+        known_labels = labels_of([*declared, *everyday(conditions, declared)])
+        for label in {*laplace.fitted.problem.effects.labels} - {*known_labels}:
+            laplace = self._in_best_form(laplace, label, wider=True)
+        laplace = self._settled(laplace)
+        usual = set() if further is None else {one.name for one in everyday(conditions, alone.effects)}
+        # the odds with which they entered; what is free for the sake of errors has none
+        entered = {one.base: 0.0 if one.name in usual else math.inf for one in laplace.fitted.effects}
+        if further is None:
+            laplace, further = self._extended(laplace, entered)
+        wide = laplace
+        for label in reversed(laplace.fitted.problem.effects.labels):  # before all is found, images blur more
+            if label not in labels_of(declared):
+                laplace = self._in_best_form(laplace, label, wider=False)
+        if laplace is not wide:
+            laplace = self._settled(laplace)
+        if laplace.misfit > FAR_OFF:
+            laplace = self._nearest(laplace)
+        laplace = laplace.posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
+        final = Final(self.cube, self.fitter, laplace, labels_of(declared), self.options.sure, self.kind)
+        return final.named(search, entered, further)
+
+    def _extended(self, laplace: Laplace, entered: dict[Effect, float]) -> tuple[Laplace, list[Score]]:
+        """The fit with all effects that are worth it, their odds added to `entered`; and the last scores."""
+        most = len(entered) + self.options.most_names * len(self.moments.by_number)
+        known: list[Score] = []
+        while True:
+            # Each time that the model gets better its errors get smaller, which shows sides apart.
+            while self._misses(laplace) and (
+                (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING
+            ):
+                laplace = self._settled(other)
+            found = self._proposed(laplace, known)
+            best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
+            if best is None:
+                return laplace, found
+            before, laplace = laplace, self._settled(best[0])
+            odds = (laplace.log_evidence - before.log_evidence) / best[1]
+            entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
+            if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
+                return laplace, found
+
+    # -- fits ------------------------------------------------------------------------------------
+
+    def _misses(self, laplace: Laplace) -> bool:
+        """Whether a fit misses something significant."""
+        return Optimum(self.cube.training, laplace.fitted).excess.significance > self.options.sure
+
+    def _settled(self, laplace: Laplace) -> Laplace:
+        """The fit with laws of wavefront and errors by evidence, which follow a change in several steps."""
+        while True:
+            law, covariance = laplace.with_best_law(), laplace.with_best_errors()
+            posterior = replace(laplace.posterior, law=law, covariance=covariance)
+            other = posterior.minimised(laplace.x, JOINTLY, roughly=True, slopes=laplace.columns)
+            self.report(1)
+            if other.log_evidence < laplace.log_evidence + PROMISING:
+                return max(laplace, other, key=lambda one: one.log_evidence)
+            laplace = other
+
+    def _nearest(self, laplace: Laplace) -> Laplace:
+        """The model of least squares, which is nearest to the images.
+
+        Where much stays missing, what a fit leaves is no noise that would tell how pixels are correlated.
+        """
+        covariance = laplace.posterior.covariance.alone(laplace.misfit * laplace.alike_px)
+        posterior = replace(laplace.posterior, covariance=covariance)
+        return posterior.minimised(laplace.x, FIRST, roughly=True)
+
+    def _turned(self, laplace: Laplace) -> Laplace:
+        """The best of a fit and others in which what has a distance and a direction begins elsewhere.
+
+        To first order opposite sides are degenerate, and where it has come to rest the image has a kink. An
+        error of the model, which grows by what a wrong side misses, would hide that: here there is none. All
+        else follows first, or the kink would draw back what has just begun elsewhere.
+        """
+        fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
+        starts = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
+
+        def following(start: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
+            _, x, columns = start
+            return sharp.descended(x, FOLLOWING, roughly=True, held=columns, slopes=laplace.columns)
+
+        promising = sorted(ordered_map(following, starts), key=lambda one: one[1])[:SIDES]
+        sides = [laplace.x, *(x for x, _ in promising)]
+        ends = ordered_map(lambda x: sharp.descended(x, TURNED, roughly=True), sides)
+        self.report(len(ends))
+        return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
+
+    def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, float] | None:
+        """The fit with the effect of the best odds, and their inflation; None if none is worth it."""
+        likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
+        tried = [
+            ((other.log_evidence - laplace.log_evidence) / inflation, inflation, other)
+            for score, other in zip(likely, ordered_map(partial(self._joined, laplace), likely), strict=True)
+            if other is not None
+            for inflation in [max(1.0, score.inflation)]
+        ]
+        self.report(1)
+        if not tried:
+            return None
+        odds, inflation, best = max(tried, key=lambda one: one[0])
+        if odds < WORTH:
+            return None
+        known = {*laplace.fitted.problem.effects.labels}
+        label = next(one for one in best.fitted.problem.effects.labels if one not in known)
+        return self._in_best_form(best, label, wider=True), inflation
+
+    def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
+        """The fit with one effect more, from where all others make room for it; None if it fails."""
+        start = score.whole(WITHIN)
+        null = torch.tensor(score.candidate.null_values, dtype=torch.float64)
+        sizes = start.values[score.candidate.free] - null.numpy()
+        shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
+
+        def begun(fitted: Fitted) -> tuple[Posterior, torch.Tensor]:
+            posterior = replace(laplace.posterior, effects=[*fitted.continued(), start])
+            return posterior, posterior.start(fitted)
+
+        starts = map(begun, (laplace.fitted, laplace.fitted.moved(laplace.making_room(shape))))
+        try:
+            posterior, x = min(starts, key=lambda one: one[0].left(one[1])[1])
+            return posterior.minimised(x, JOINTLY, roughly=True)
+        except (ValueError, torch.linalg.LinAlgError):
+            return None
+
+    def _in_best_form(self, laplace: Laplace, label: str, *, wider: bool) -> Laplace:
+        """The fit with an effect, or with a wider or narrower form that has better odds.
+
+        An error of the model would hide that a form is too narrow: for wider ones there is none.
+        """
+        fitted, others = laplace.fitted, laplace.fitted.continued_by_label()
+        found = others.pop(label)
+        forms = in_other_forms(found.name, self.conditions, fitted.values_of(label), wider=wider)
+        if not forms:
+            return laplace
+        judge = laplace.posterior.sharp if wider else laplace.posterior
+        best = judged = judge.minimised(laplace.x, AGAIN, roughly=True, slopes=laplace.columns)
+        for form in (side for one in forms for side in _sides(one, len(found.base.parameters))):
+            posterior = replace(judge, effects=[*others.values(), form.only_in(found.acts_in)])
+            other = posterior.minimised(posterior.start(fitted), AGAIN, roughly=True)
+            if other.log_evidence > best.log_evidence + (PROMISING if wider else -PROMISING):
+                best = other
+        if best is not judged:
+            posterior = replace(laplace.posterior, effects=best.fitted.continued())
+            return posterior.minimised(best.x, JOINTLY, roughly=True)
+        return laplace
+
+    # -- proposals -------------------------------------------------------------------------------
+
+    def _proposed(self, laplace: Laplace, known: list[Score]) -> list[Score]:
+        """Scores of all families that the model lacks, those of the best odds first.
+
+        Places are refined: of second images also near the core, and in the pupil, where modes imitate most of
+        what is there, also from where they were found before: `known`, which gets those found now.
+        """
+        missing, _ = families(self.moments, laplace.fitted.effects)
+
+        def scored_best(family: Family) -> Score:
+            score = score_family(laplace, family)
+            if family.effect.copies_star:
+                near = close_copies(laplace, family.effect)
+                others = scored(laplace, score.trials, family.placements, near)
+                others = sorted(others, key=lambda one: one.log_odds)[-1:]
+            elif isinstance(family.effect.base, PupilPlace):
+                others = [*score.elsewhere, *[one for one in known if one.name == score.name][-1:]]
+            else:
+                return score
+            return max((_refined(laplace, one) for one in (score, *others)), key=lambda one: one.log_odds)
+
+        found = ordered_map(scored_best, [*missing, *bad_pixel_family(laplace)])
+        known += [one for one in found if isinstance(one.candidate.base, PupilPlace)]
+        self.report(1)
+        return sorted(found, key=lambda one: -one.log_odds)
+
+
+def _sides(form: FixedEffect, known: int) -> list[FixedEffect]:
+    """A form of an effect, begun on either side in what it has besides the `known` parameters.
+
+    An image out of focus on one side of the focus is far from that on the other.
+    """
+    found = []
+    for index, one in enumerate(form.base.parameters):
+        for side in (-1, 1) if index >= known and math.isfinite(one.prior_sigma) else ():
+            values = np.array(form.values, float)
+            values[index] += side * one.prior_sigma / 2
+            found.append(FixedEffect(form.base, values, [p.name for p in form.parameters]))
+    return found or [form]
+
+
+def _refined(laplace: Laplace, score: Score) -> Score:
+    """The candidate of the best odds near one: a search in smaller and smaller steps."""
+    base, free = score.candidate.base, [one.name for one in score.candidate.parameters]
+    places = [i for i, one in enumerate(base.parameters) if one.null is None]  # and widths
+    lower, upper = (np.array([getattr(base.parameters[i], n) for i in places]) for n in ("lower", "upper"))
+    span = np.full(len(places), laplace.settings.resolution_mas) if base.copies_star else upper - lower
+    best = scored(laplace, score.trials, (score.candidate.acts_in,), [score.candidate])[0]
+    at = best.candidate.all_values(best.candidate.null_values).numpy()
+    step = 0.1
+    while step > LEAST:
+        moves = step * span * np.concatenate([np.eye(len(places)), -np.eye(len(places))])
+        tried = []
+        for move in moves:
+            values = at.copy()
+            values[places] = np.clip(at[places] + move, lower, upper)
+            if is_lit(laplace, base, values):
+                tried.append(FixedEffect(base, values, free).only_in(score.candidate.acts_in))
+        found = scored(laplace, score.trials, (score.candidate.acts_in,), tried) if tried else []
+        better = max([best, *found], key=lambda one: one.log_odds)
+        if better is best:
+            step *= FINER
+        else:
+            best, at = better, better.candidate.all_values(better.candidate.null_values).numpy()
+    return replace(best, trials=score.trials, log_odds=best.log_odds - math.log(score.trials))
