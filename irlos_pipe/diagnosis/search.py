@@ -48,9 +48,6 @@ from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.parallel import ordered_map
 
-PROPOSALS = 8  # effects that are fitted alone at most
-ENOUGH = 3  # of them, which show whether a single one may explain what is missing
-HOPELESS = 0.1  # part of the fall of χ² by one that leaves nothing; what promises less needs no fit
 PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
 PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
 LOOKED_AT = 2  # effects fitted at once, those of the best odds
@@ -147,31 +144,24 @@ class Task:
         """The fit with the one effect that explains most, all else as declared.
 
         It leads to where no fit of everything may come: what modes and facts take up together is far from
-        what a single effect does. It is fitted for those that promise most; less promising ones are left out
-        where the best leaves nothing, and all further ones where even that is far off. A fact of which the
-        model of everything has a rival instead has to show itself beside that.
+        what a single effect does. The two that promise most are fitted. A fact of which the model of
+        everything has a rival instead has to show itself beside that.
         """
         usual = {one.name for one in everyday([view.conditions for view in self.fitter.views], ())}
         tried = [one for one in found if one.name in usual or not one.candidate.base.fact]
         promising = [score for score in tried if score.testable and score.gain > 0]
-        promising = sorted(promising, key=lambda one: -one.gain / one.inflation)[:PROPOSALS]
+        promising = sorted(promising, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]
 
-        def worth(fitted: Fitted, inflation: float) -> float:
-            more = len(fitted.effect_values) - len(current.fitted.effect_values)
-            return current.fitted.chi2 - fitted.chi2 - PER_PARAMETER * inflation * more
+        def fitted(score: Score) -> Fitted:
+            effects = [*current.fitted.continued(), score.whole()]
+            return self.fitter.explored(effects, current.fitted)
 
-        best, most, left = current.fitted, 0.0, current.excess
-        for number, score in enumerate(promising):
-            if number >= ENOUGH and left.chi2_nu > FAR_OFF:
-                break
-            if left.significance < self.options.sure and score.gain < HOPELESS * most:
-                continue
-            one = self.fitter.explored([*current.fitted.continued(), score.whole()], current.fitted)
-            if np.isfinite(one.chi2) and worth(one, score.inflation) > most:
-                best, most = one, worth(one, score.inflation)
-                left = Optimum(self.cube.training, best).excess
-            self.report(1)
-        return best
+        def price(one: Fitted) -> float:
+            return one.chi2 + PER_PARAMETER * len(one.effect_values)
+
+        fits = ordered_map(fitted, promising)
+        self.report(1)
+        return min([current.fitted, *fits], key=price)
 
     # -- everything at once ----------------------------------------------------------------------
 
