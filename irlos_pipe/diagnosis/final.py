@@ -144,8 +144,10 @@ class Final:
         plausible = not one.base.unusual(one.values) and is_lit(self.laplace, one.base, one.values)
         # Copies of the star lie near its core, where the model's error counts in their odds.
         share = 1.0 if one.base.copies_star else share_at_its_place(one, self.optimum)
-        # Of images that hardly differ, as by modes beyond the basis, the preference is a normal deviate.
-        agreed = one.preference >= -DECIDED
+        # What every model has free never had to enter: frames that no fit has seen decide for it. Of images
+        # that hardly differ, as by modes beyond the basis, the preference is a normal deviate.
+        always_free = one.base.fact or one.base.mild
+        agreed = one.preference >= (DECIDED if always_free else -DECIDED)
         return one.significance >= self.sure and plausible and share >= AT_ITS_PLACE[self.kind] and agreed
 
     def log_odds(self, label: str) -> float:
