@@ -211,7 +211,7 @@ class Final:
         effects = self.all_modes.continued_by_label()
         rivals: list[tuple[Effect, float]] = []
         for score in found:
-            if score.candidate.base.needs_search or score.name == one.name:
+            if score.candidate.base.needs_search or score.name == one.name or not score.usable:
                 continue
             linear = LinearEstimate.of(null, score.candidate, self._shapes_of(score.candidate))
             if linear.usable.any():

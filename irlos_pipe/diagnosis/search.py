@@ -145,11 +145,9 @@ class Task:
 
         It leads to where no fit of everything may come: what modes and facts take up together is far from
         what a single effect does. The two that promise most are fitted. A fact of which the model of
-        everything has a rival instead has to show itself beside that.
+        everything has a rival instead comes after that, unless the rival's values are implausible.
         """
-        usual = {one.name for one in everyday([view.conditions for view in self.fitter.views], ())}
-        tried = [one for one in found if one.name in usual or not one.candidate.base.fact]
-        promising = [score for score in tried if score.testable and score.gain > 0]
+        promising = [score for score in found if score.testable and score.gain > 0]
         promising = sorted(promising, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]
 
         def fitted(score: Score) -> Fitted:
@@ -159,9 +157,16 @@ class Task:
         def price(one: Fitted) -> float:
             return one.chi2 + PER_PARAMETER * len(one.effect_values)
 
-        fits = ordered_map(fitted, promising)
+        usual = {one.name for one in everyday([view.conditions for view in self.fitter.views], ())}
+        known = {*current.fitted.problem.effects.labels}
+        better: list[tuple[bool, float, Fitted]] = []
+        for one in ordered_map(fitted, promising):
+            (label,) = {*one.problem.effects.labels} - known
+            base = one.effect(label).base
+            if price(one) < price(current.fitted) and not base.unusual(one.values_of(label)):
+                better.append((base.fact and base.name not in usual, price(one), one))
         self.report(1)
-        return min([current.fitted, *fits], key=price)
+        return min(better, key=lambda one: one[:2])[2] if better else current.fitted
 
     # -- everything at once ----------------------------------------------------------------------
 
