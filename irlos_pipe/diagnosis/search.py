@@ -222,7 +222,7 @@ class Task:
         while True:
             # Each time that the model gets better its errors get smaller, which shows sides apart.
             while self._misses(laplace) and (
-                (other := self._turned(laplace)).log_evidence > laplace.log_evidence + WORTH
+                (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING
             ):
                 laplace = self._settled(other)
             found = self._proposed(laplace, known)
