@@ -311,6 +311,8 @@ def _unnoticed(search: Search, name: str) -> tuple[Outcome, str]:
     kind = CATALOGUE[name]
     if name in search.meaningless:
         return "not tried", "means nothing for this instrument or these recordings"
+    if search.tolerant and (kind.fact or kind.mild):
+        return "fitted", "free in the fit of everything, where the odds are against it"
     if kind.widens:
         return "not tried", f"a wider form of {kind.widens}, tried where that is found"
     return "not tried", ELSEWHERE.get(kind.found_by, "not tried")
