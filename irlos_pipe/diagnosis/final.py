@@ -115,16 +115,15 @@ class Final:
         `entered` are the odds with which effects entered the model, `found` the last scores of all others.
         """
         likely = [one for label in self.beyond if (one := self._likely(label, entered)) is not None]
+        likely = sorted(likely, key=lambda one: (one.ordinary, -one.gain))
         names = [self._with_rivals(one, found) for one in likely if self._is_sure(one)]
-        names = sorted(names, key=lambda one: (one.ordinary, -one.gain))
-        others = sorted(likely, key=lambda one: (one.ordinary, -one.gain))
         return replace(
             search,
             final=self.optimum,
             accepted=names,
             scores=found,
             adjusted=sorted({*self.beyond} - {one.label for one in names}),
-            nearest=None if names else next(iter(others), None),
+            nearest=None if names else next(iter(likely), None),
             tolerant=True,
         )
 
