@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.checks.drift import Drift
+from irlos_pipe.diagnosis.checks import Drift
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import Excess, Optimum

@@ -8,16 +8,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.acceptance import Accepted, HeldOutEvaluation, Search, gap_between
-from irlos_pipe.diagnosis.checks.drift import motion_ratio
-from irlos_pipe.diagnosis.checks.fine_structure import fine_structure, flat_rms
-from irlos_pipe.diagnosis.checks.pixels import screened_step, smallest_excess
+from irlos_pipe.diagnosis.checks import OUTSTANDING, fine_structure, flat_rms, motion_ratio, smallest_excess
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import Covariances, detectable, within_reach
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.grade import judged, share_at_its_place
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import NoiseVerdict, Ranked, Tried
+from irlos_pipe.diagnosis.records import Gap, NoiseVerdict, Ranked, Tried
 from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.diagnosis.second_recording import SecondRecordings
 from irlos_pipe.diagnosis.verdict import (
@@ -35,10 +33,12 @@ from irlos_pipe.diagnosis.verdict import (
 )
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
+from irlos_pipe.effects.detector import BadPixels
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.image_fit import effects_in_modes_nm
 
+OFF = 0.1  # part of the star's signal in a pixel, below which the model may be to blame
 HALF_CLEAR = 0.5  # part of the full amplitude from which the pupil is clear
 
 
@@ -216,6 +216,37 @@ def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
             gap_between(cube.held_out, search.null.fitted, search.null.fitted),
         )
     ]
+
+
+def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, gap: Gap) -> Step | None:
+    """The step for those of the pixels whose mean is not what the model predicts; None if all agree.
+
+    The first recording of the `optimum` is that of the pixels, whose means are those of so many `frames`;
+    `gap` is that without them.
+    """
+    window, stack = optimum.fitted.problem.window, optimum.stack.parts[0]
+    star_e = optimum.fitted.image_e[optimum.fitted.problem.pixels[0]]
+    sigma_e = stack.frames.noise.mean_variance_e2(star_e, frames).sqrt().reshape(window)
+    off = [(one, one.mean_e - float(star_e.reshape(window)[one.row, one.column])) for one in screened]
+    pulls = {one: miss / float(sigma_e[one.row, one.column]) for one, miss in off}
+    bad = [
+        (one, miss)
+        for one, miss in off
+        if pulls[one] ** 2 > OUTSTANDING and abs(miss) > OFF * abs(one.mean_e - miss)
+    ]
+    if not bad:
+        return None
+    effect = BadPixels([(one.row, one.column) for one, _ in bad])
+    significance = gaussian_sigma(sum(pulls[one] ** 2 for one, _ in bad), len(bad), np.inf, len(star_e))
+    nothing = np.zeros(len(bad))
+    sigma = {"pixels": [[0.0, 0.0] for _ in bad]}
+    # the gap of the window with the pixels in it
+    light_e, missing_e = float(star_e.sum()), sum(abs(miss) for _, miss in bad)
+    whole_e = light_e + sum(max(one.mean_e, 0.0) for one, _ in bad)
+    found = Gap((gap.before * light_e + missing_e) / whole_e, gap.before, gap.floor)
+    return Step(
+        FixedEffect(effect, nothing), effect.describe(nothing), sigma, significance, np.nan, np.nan, found
+    )
 
 
 # -- pictures ----------------------------------------------------------------------------------

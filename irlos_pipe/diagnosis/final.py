@@ -9,7 +9,6 @@ from collections.abc import Container, Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
 
-import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.acceptance import (
@@ -20,7 +19,7 @@ from irlos_pipe.diagnosis.acceptance import (
     gap_between,
     preference,
 )
-from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
+from irlos_pipe.diagnosis.checks import MOVING, motion_ratio
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
@@ -30,7 +29,6 @@ from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.scores import Score, whitened_shapes
 from irlos_pipe.effects import Effect, in_other_forms
 from irlos_pipe.effects.base import label_of
-from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
 
 WORTH = 10.0  # ln odds from which an effect enters the model
@@ -140,14 +138,14 @@ class Final:
 
     def _is_sure(self, one: Accepted) -> bool:
         """Whether a likely effect is named."""
-        plausible = not one.base.unusual(one.values) and is_lit(self.laplace, one.base, one.values)
         # Copies of the star lie near its core, where the model's error counts in their odds.
         share = 1.0 if one.base.copies_star else share_at_its_place(one, self.optimum)
         # What every model has free never had to enter: frames that no fit has seen decide for it. Of images
         # that hardly differ, as by modes beyond the basis, the preference is a normal deviate.
         always_free = one.base.fact or one.base.mild
         agreed = one.preference >= (DECIDED if always_free else -DECIDED)
-        return one.significance >= self.sure and plausible and share >= AT_ITS_PLACE[self.kind] and agreed
+        sure = one.significance >= self.sure and share >= AT_ITS_PLACE[self.kind]
+        return sure and agreed and not one.base.unusual(one.values)
 
     def log_odds(self, label: str) -> float:
         """ln odds of an effect against its absence."""
@@ -236,11 +234,3 @@ class Final:
         if id(candidate) not in self._shapes:
             self._shapes[id(candidate)] = whitened_shapes(self.laplace, [candidate])[0]
         return self._shapes[id(candidate)]
-
-
-def is_lit(laplace: Laplace, effect: Effect, values: np.ndarray) -> bool:
-    """Whether light passes the place of an effect in the pupil."""
-    if not isinstance(effect.base, PupilPlace):
-        return True
-    geometry, away_m = laplace.settings.geometry, float(np.hypot(*values[1:3]))
-    return geometry.obscuration_m <= 2 * away_m <= geometry.diameter_m

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from irlos_pipe.diagnosis.acceptance import Accepted, Comparison, Search
-from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN
+from irlos_pipe.diagnosis.checks import PHOTONS, SPECKLES, UNSEEN
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum
 from irlos_pipe.diagnosis.options import Options

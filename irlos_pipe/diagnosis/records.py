@@ -37,7 +37,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class OppositeSide:
-    """A fit with the effect on its opposite side that these data do not exclude, see `diagnosis.opposite`."""
+    """A fit with the effect on its opposite side that these data do not exclude, see `diagnosis.workflow`."""
 
     parameters: dict[str, Any] = key({}, "Values there by name of the parameter.")
     phrase: str = key("", "The effect there, as a sentence names it.")
@@ -65,7 +65,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class FineStructure:
-    """Structure finer than the telescope can make, see `diagnosis.checks.fine_structure`."""
+    """Structure finer than the telescope can make, see `diagnosis.checks`."""
 
     ratio: Number = key(
         1.0,
@@ -119,7 +119,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class NoiseVerdict:
-    """Whether the noise model holds, see `diagnosis.checks.noise`."""
+    """Whether the noise model holds, see `diagnosis.checks`."""
 
     kind: str = key("", "``photon-limited``, ``speckle-limited``, or ``unseen`` of a single frame.")
     bright_ratio: Number = key(nan, "Measured over predicted variance of bright and of faint pixels.")

@@ -221,12 +221,13 @@ def scored(
     optimum: FittedModel, trials: int, placements: Sequence[Placement], candidates: Sequence[Effect]
 ) -> list[Score]:
     """Scores of every candidate, in every placement that all the recordings of the `candidates` hold."""
-    pairs = list(zip(candidates, whitened_shapes(optimum, candidates), strict=True))
-    return [
-        _score(optimum, trials, candidate.only_in(where), _seen_in(optimum, where, shapes))
-        for candidate, shapes in pairs
-        for where in placements
-    ]
+    found, shapes = [], whitened_shapes(optimum, candidates)
+    for where in placements:
+        seen = [_seen_in(optimum, where, one) for one in shapes]
+        inside = optimum.basis.mT @ torch.cat(seen, dim=1)  # at once: the basis is long
+        rows = zip(candidates, seen, inside.split([one.shape[1] for one in seen], dim=1), strict=True)
+        found += [_score(optimum, trials, one.only_in(where), *shape) for one, *shape in rows]
+    return found
 
 
 def _seen_in(optimum: FittedModel, where: Placement, shapes: torch.Tensor) -> torch.Tensor:
@@ -240,8 +241,8 @@ def _seen_in(optimum: FittedModel, where: Placement, shapes: torch.Tensor) -> to
     return seen
 
 
-def _score(optimum: FittedModel, trials: int, candidate: Effect, shapes: torch.Tensor) -> Score:
-    linear = LinearEstimate.of(optimum, candidate, shapes)
+def _score(optimum: FittedModel, trials: int, candidate: Effect, *shapes: torch.Tensor) -> Score:
+    linear = LinearEstimate.of(optimum, candidate, *shapes)
     inflation, significance = 1.0, 0.0
     if linear.usable.any():
         inflation, significance = significance_of(optimum, linear, trials)

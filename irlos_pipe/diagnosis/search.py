@@ -10,16 +10,14 @@ its absence, and frames that no fit has seen, are clearly for it; what is not su
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.acceptance import Search
-from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
-from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
+from irlos_pipe.diagnosis.checks import Drift, bad_pixel_family, measure_drift
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.final import JOINTLY, WORTH, Final, is_lit
+from irlos_pipe.diagnosis.final import JOINTLY, WORTH, Final
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.grade import copies_in_a_row
 from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum
@@ -52,7 +50,7 @@ PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
 PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
 LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN = 16, 4  # iterations of the first fit, after a change of laws
-FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
+TURNED = 6  # iterations from another side
 SIDES = 2  # that are followed to their end, those on which all else has made the most of it
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
 FINER = 0.5  # by which the steps of a search for a place get smaller
@@ -90,8 +88,7 @@ class Task:
         tests = [current.excess.significance, *(one.significance for one in found)]
         if max(tests) < self.options.sure:
             return search
-        alone = Optimum(self.cube.training, self._alone(current, found))
-        further = None
+        alone, further = self._alone(current, found), None
         if alone.excess.significance < self.options.sure:
             further, _ = self._scores(alone)
             if any(one.significance > self.options.sure for one in further):
@@ -140,35 +137,38 @@ class Task:
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
 
-    def _alone(self, current: Optimum, found: Sequence[Score]) -> Fitted:
+    def _alone(self, current: Optimum, found: Sequence[Score]) -> Optimum:
         """The fit with the one effect that explains most, all else as declared.
 
         It leads to where no fit of everything may come: what modes and facts take up together is far from
-        what a single effect does. The two that promise most are fitted. A fact of which the model of
-        everything has a rival instead comes after that, unless the rival's values are implausible.
+        what a single effect does. The two that promise most are fitted, the second where the first leaves
+        something. A fact of which the model of everything has a rival instead comes after that, unless the
+        rival's values are implausible.
         """
-        promising = [score for score in found if score.testable and score.gain > 0]
-        promising = sorted(promising, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]
-
-        def fitted(score: Score) -> Fitted:
-            effects = [*current.fitted.continued(), score.whole()]
-            return self.fitter.explored(effects, current.fitted)
 
         def price(one: Fitted) -> float:
             return one.chi2 + PER_PARAMETER * len(one.effect_values)
 
-        usual = {one.name for one in everyday([view.conditions for view in self.fitter.views], ())}
+        promising = [score for score in found if score.testable and score.gain > 0]
+        usual = {one.name for one in self._with_everyday([])}
         known = {*current.fitted.problem.effects.labels}
-        better: list[tuple[bool, float, Fitted]] = []
-        for one in ordered_map(fitted, promising):
-            (label,) = {*one.problem.effects.labels} - known
-            base = one.effect(label).base
-            if price(one) < price(current.fitted) and not base.unusual(one.values_of(label)):
-                better.append((base.fact and base.name not in usual, price(one), one))
+        better: list[tuple[bool, float, Optimum]] = []
+        for score in sorted(promising, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]:
+            fitted = self.fitter.explored([*current.fitted.continued(), score.whole()], current.fitted)
+            (label,) = {*fitted.problem.effects.labels} - known
+            base = fitted.effect(label).base
+            if price(fitted) < price(current.fitted) and not base.unusual(fitted.values_of(label)):
+                one, rivalled = Optimum(self.cube.training, fitted), base.fact and base.name not in usual
+                better.append((rivalled, price(fitted), one))
+                if one.excess.significance < self.options.sure and not rivalled:
+                    break
         self.report(1)
-        return min(better, key=lambda one: one[:2])[2] if better else current.fitted
+        return min(better, key=lambda one: one[:2])[2] if better else current
 
     # -- everything at once ----------------------------------------------------------------------
+
+    def _with_everyday(self, effects: Sequence[Effect]) -> list[Effect]:
+        return [*effects, *everyday([view.conditions for view in self.fitter.views], effects)]
 
     def _beyond(
         self, search: Search, effects: Sequence[Effect], alone: Fitted, further: list[Score] | None
@@ -181,26 +181,25 @@ class Task:
         drift = search.drift
         moving = [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
         declared = [*effects, *moving]
-        conditions = [view.conditions for view in self.fitter.views]
         fitter, few_colours = with_visible_modes(self.fitter.of(self.cube.training))
         law = WavefrontLaw.of(self.conditions.ncpa_law, self.fitter.views[0].psf.nolls[-1])
         covariance = Covariance.of(fitter.stack, fitter.views)
 
         def begun(near: Fitted | None) -> Laplace:
-            known_effects = declared if near is None else near.continued()
-            whole = [*known_effects, *everyday(conditions, known_effects)]
+            whole = self._with_everyday(declared if near is None else near.continued())
             posterior = Posterior(fitter, few_colours, whole, covariance, law)
             return posterior.minimised(posterior.start(near), FIRST, roughly=True)
 
         starts = ordered_map(begun, [None, alone] if further is None else [alone])
         laplace = max(starts, key=lambda one: one.log_evidence)
-        known_labels = labels_of([*declared, *everyday(conditions, declared)])
-        for label in {*laplace.fitted.problem.effects.labels} - {*known_labels}:
-            laplace = self._in_best_form(laplace, label, wider=True)
+        usual = labels_of(self._with_everyday(declared))
+        for label in laplace.fitted.problem.effects.labels:
+            if label not in usual:
+                laplace = self._in_best_form(laplace, label, wider=True)
         laplace = self._settled(laplace)
-        usual = set() if further is None else {one.name for one in everyday(conditions, alone.effects)}
-        # the odds with which they entered; what is free for the sake of errors has none
-        entered = {one.base: 0.0 if one.name in usual else math.inf for one in laplace.fitted.effects}
+        # The odds with which they entered; what is free for the sake of errors has none.
+        known = {one.name for one in (laplace.fitted if further is None else alone).effects}
+        entered = {one.base: math.inf if one.name in known else 0.0 for one in laplace.fitted.effects}
         if further is None:
             laplace, further = self._extended(laplace, entered)
         wide = laplace
@@ -219,21 +218,23 @@ class Task:
         """The fit with all effects that are worth it, their odds added to `entered`; and the last scores."""
         most = len(entered) + self.options.most_names * len(self.moments.by_number)
         known: list[Score] = []
+        laplace = self._on_best_sides(laplace)
         while True:
-            # Each time that the model gets better its errors get smaller, which shows sides apart.
-            while self._misses(laplace) and (
-                (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING
-            ):
-                laplace = self._settled(other)
-            found = self._proposed(laplace, known)
-            best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
-            if best is None:
+            before = laplace
+            while True:
+                found = self._proposed(laplace, known)
+                best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
+                if best is None:
+                    break
+                without, laplace = laplace, self._settled(best[0])
+                odds = (laplace.log_evidence - without.log_evidence) / best[1]
+                entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
+                if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
+                    return laplace, found
+            # A better model has smaller errors, which show sides apart.
+            if laplace is before or (turned := self._on_best_sides(laplace)) is laplace:
                 return laplace, found
-            before, laplace = laplace, self._settled(best[0])
-            odds = (laplace.log_evidence - before.log_evidence) / best[1]
-            entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
-            if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
-                return laplace, found
+            laplace = turned
 
     # -- fits ------------------------------------------------------------------------------------
 
@@ -261,44 +262,54 @@ class Task:
         posterior = replace(laplace.posterior, covariance=covariance)
         return posterior.minimised(laplace.x, FIRST, roughly=True)
 
-    def _turned(self, laplace: Laplace) -> Laplace:
-        """The best of a fit and others in which what has a distance and a direction begins elsewhere.
+    def _on_best_sides(self, laplace: Laplace) -> Laplace:
+        """The fit with what has a distance and a direction begun elsewhere, as often as that is likelier."""
+        while self._misses(laplace) and (other := self._turned(laplace)) is not None:
+            laplace = self._settled(other)
+        return laplace
+
+    def _turned(self, laplace: Laplace) -> Laplace | None:
+        """A likelier fit that begins on another side, where there is one.
 
         To first order opposite sides are degenerate, and where it has come to rest the image has a kink. An
         error of the model, which grows by what a wrong side misses, would hide that: here there is none. All
-        else follows first, or the kink would draw back what has just begun elsewhere.
+        else follows first, with the derivatives that it has, or the kink would draw back what has just begun
+        elsewhere.
         """
         fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
-        starts = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
+        sides = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
 
-        def following(start: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
-            _, x, columns = start
-            return sharp.descended(x, FOLLOWING, roughly=True, held=columns, slopes=laplace.columns)
+        def following(side: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
+            _, x, columns = side
+            return sharp.descended(x, 1, roughly=True, held=columns, slopes=laplace.columns)
 
-        promising = sorted(ordered_map(following, starts), key=lambda one: one[1])[:SIDES]
-        sides = [laplace.x, *(x for x, _ in promising)]
-        ends = ordered_map(lambda x: sharp.descended(x, TURNED, roughly=True), sides)
+        promising = sorted(ordered_map(following, sides), key=lambda one: one[1])[:SIDES]
+        ends = ordered_map(lambda one: sharp.descended(one[0], TURNED, roughly=True), promising)
         self.report(len(ends))
-        return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
+        x, value = min(ends, key=lambda one: one[1], default=(laplace.x, math.inf))
+        if value >= sharp.left(laplace.x)[1]:
+            return None
+        other = posterior.minimised(x, AGAIN, roughly=True)
+        return other if other.log_evidence > laplace.log_evidence + PROMISING else None
 
     def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, float] | None:
-        """The fit with the effect of the best odds, and their inflation; None if none is worth it."""
-        likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
-        tried = [
-            ((other.log_evidence - laplace.log_evidence) / inflation, inflation, other)
-            for score, other in zip(likely, ordered_map(partial(self._joined, laplace), likely), strict=True)
-            if other is not None
-            for inflation in [max(1.0, score.inflation)]
-        ]
+        """The fit with the effect of the best odds, and their inflation; None if none is worth it.
+
+        The next is fitted where the fit of the one before falls short of what it promises.
+        """
+        best, odds = None, -math.inf
+        for score in [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]:
+            if odds < score.log_odds and (other := self._joined(laplace, score)) is not None:
+                inflation = max(1.0, score.inflation)
+                gain = (other.log_evidence - laplace.log_evidence) / inflation
+                if gain > odds:
+                    best, odds = (other, inflation), gain
         self.report(1)
-        if not tried:
-            return None
-        odds, inflation, best = max(tried, key=lambda one: one[0])
-        if odds < WORTH:
+        if best is None or odds < WORTH:
             return None
         known = {*laplace.fitted.problem.effects.labels}
-        label = next(one for one in best.fitted.problem.effects.labels if one not in known)
-        return self._in_best_form(best, label, wider=True), inflation
+        label = next(one for one in best[0].fitted.problem.effects.labels if one not in known)
+        return self._in_best_form(best[0], label, wider=True), best[1]
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
@@ -397,7 +408,7 @@ def _refined(laplace: Laplace, score: Score) -> Score:
         for move in moves:
             values = at.copy()
             values[places] = np.clip(at[places] + move, lower, upper)
-            if is_lit(laplace, base, values):
+            if not isinstance(base, PupilPlace) or base.lit(values):
                 tried.append(FixedEffect(base, values, free).only_in(score.candidate.acts_in))
         found = scored(laplace, score.trials, (score.candidate.acts_in,), tried) if tried else []
         better = max([best, *found], key=lambda one: one.log_odds)

@@ -17,7 +17,6 @@ from irlos_pipe.optics.grids import PupilGrid, PupilMode
 
 # Of an effect with a distance and a direction, such as a displaced stop. To first order opposite sides make
 # the same image, which has a kink at no distance: a fit stays on its side.
-SIDES = 4  # directions, evenly about the circle, from which a fit may begin
 AT_REST = 1e-3  # largest distance, in the unit of the parameter, that counts as none
 Values: TypeAlias = "Sequence[float] | np.ndarray | Tensor"
 
@@ -326,15 +325,3 @@ def direction_among(parameters: Sequence[Parameter]) -> int | None:
     if not angles or parameters[0].null is None or parameters[0].null > parameters[0].lower:
         return None
     return angles[0]
-
-
-def on_every_side(effect: Effect) -> list[np.ndarray]:
-    """Values of the free parameters of an `effect`, at their starts but for the direction, if it has one."""
-    angle = direction_among(effect.parameters)
-    if angle is None:
-        return []
-    declared = {one.name: one.start for one in effect.base.parameters}
-    starts = np.array([declared[one.name] for one in effect.parameters])
-    sides = np.tile(starts, (SIDES, 1))
-    sides[:, angle] = np.arange(SIDES) * 2 * np.pi / SIDES
-    return [*sides]

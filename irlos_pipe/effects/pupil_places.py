@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
-from irlos_pipe.effects.base import Effect, FixedEffect
+from irlos_pipe.effects.base import Effect, FixedEffect, Values
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.wavefront import OpdMap
@@ -21,16 +21,16 @@ class PupilPlace(PupilEffect):
     """Something of some height at one place in the pupil, round and with a soft edge.
 
     Position and width mean nothing without it and are scanned in a search. The place lies within the pupil of
-    `diameter_m`, and no width is larger than that.
+    `diameter_m`, whose hole lets no light pass, and no width is larger than that.
     """
 
     repeatable = True
     height: ClassVar[Parameter]
     width: ClassVar[Parameter]  # in diameters of the pupil
 
-    def __init__(self, diameter_m: float = 8.0):
+    def __init__(self, diameter_m: float = 8.0, hole_m: float = 0.0):
         rim = diameter_m / 2
-        self.diameter_m = diameter_m
+        self.diameter_m, self.hole_m = diameter_m, hole_m
         self.parameters = (
             self.height,
             Parameter("x_m", "m", rim / 2, lower=-rim, upper=rim, null=None),
@@ -40,7 +40,15 @@ class PupilPlace(PupilEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> Self:
-        return cls(conditions.settings.geometry.diameter_m)
+        geometry = conditions.settings.geometry
+        return cls(geometry.diameter_m, geometry.obscuration_m)
+
+    def lit(self, values: Values) -> bool:
+        """Whether light passes the place."""
+        return self.hole_m <= 2 * np.hypot(float(values[1]), float(values[2])) <= self.diameter_m
+
+    def unusual(self, values: Values) -> list[str]:
+        return [*super().unusual(values), *([] if self.lit(values) else ["x_m", "y_m"])]
 
     def profile(self, square: Tensor) -> tuple[Tensor, Tensor]:
         """What is at a `square` of the distance in widths, of height 1, and its derivative, (n, n) each."""

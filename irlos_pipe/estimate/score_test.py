@@ -95,20 +95,28 @@ class LinearEstimate:
     sizes: np.ndarray  # (parameters,), within the bounds
     gain: float  # predicted fall of χ²
     used: torch.Tensor  # (pixels, m), shapes of the usable parameters
+    inside: torch.Tensor  # (basis, m), their products with the null model's basis
     gram: torch.Tensor  # (m, m), of what is left of them
     normal: torch.Tensor  # (m, m), the same with the priors
     projection: torch.Tensor  # (m,)
 
     @classmethod
-    def of(cls, null: NullModel, candidate: Effect, shapes: torch.Tensor) -> LinearEstimate:
-        """The estimate of `candidate` jointly with `null`, by whitened derivatives `shapes`, (pixels, m)."""
-        power, gram = (shapes**2).sum(0), null.norm2(shapes)
+    def of(
+        cls, null: NullModel, candidate: Effect, shapes: torch.Tensor, inside: torch.Tensor | None = None
+    ) -> LinearEstimate:
+        """The estimate of `candidate` jointly with `null`, by whitened derivatives `shapes`, (pixels, m).
+
+        Their products with the basis of `null`, (basis, m), are `inside`, where those are known.
+        """
+        inside = null.basis.mT @ shapes if inside is None else inside
+        power, gram = (shapes**2).sum(0), shapes.mT @ shapes - inside.mT @ inside
         left = torch.diagonal(gram)
         seen = left / power.clamp_min(1e-300)
         usable = (power > MEANINGLESS * power.max()) & (seen > null.least_seen)
         sigma = torch.tensor([p.prior_sigma for p in candidate.parameters], dtype=torch.float64)[usable]
-        used, gram = shapes[:, usable], gram[usable][:, usable]
-        normal, projection = gram + torch.diag(sigma**-2), null.projection(used)
+        used, inside, gram = shapes[:, usable], inside[:, usable], gram[usable][:, usable]
+        normal = gram + torch.diag(sigma**-2)
+        projection = used.mT @ null.residual - inside.mT @ null.unconverged
         start = torch.tensor(candidate.null_values, dtype=torch.float64)
         change = torch.zeros_like(start)
         change[usable] = torch.linalg.solve(normal, projection)
@@ -117,7 +125,7 @@ class LinearEstimate:
         step = (sizes - start)[usable]
         gain = float(2 * step @ projection - step @ normal @ step)
         best = float(seen[usable].max() if usable.any() else seen.max())
-        return cls(candidate, usable, best, left, sizes.numpy(), gain, used, gram, normal, projection)
+        return cls(candidate, usable, best, left, sizes.numpy(), gain, used, inside, gram, normal, projection)
 
 
 def derivatives(

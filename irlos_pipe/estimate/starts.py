@@ -22,7 +22,7 @@ import torch
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects import Effect, EffectSet
-from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
+from irlos_pipe.effects.base import AT_REST, direction_among
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import PupilSteps
 from irlos_pipe.estimate.calibration_options import NcpaPrior, TwinCheck
@@ -40,6 +40,7 @@ from irlos_pipe.optics.zernike import noll_to_nm
 STEP_NM = 100.0  # between templates of a scan of defocus: a fit converges from half of it
 SCAN_NM = STEP_NM * np.arange(-7, 8)  # defocus of the templates
 ALIKE_AT_ONCE = 8  # images that are compared with all templates at once
+SIDES = 4  # directions, evenly about the circle, from which an effect that rests may begin
 FEW_FRAMES = 10  # single frames that stand for all: their median is a start, their mean curvature that of all
 FEW_FRAMES_ITERATIONS = 60
 
@@ -186,8 +187,12 @@ def on_other_sides(
         columns = [own.start + index for index in effects.columns_of(label)]
         opposite = x[0, columns].numpy().copy()
         opposite[angle] += np.pi
-        rests = opposite[0] <= effect.parameters[0].lower + AT_REST
-        for side in on_every_side(effect) if rests else [opposite]:
+        sides = opposite[None]
+        if opposite[0] <= effect.parameters[0].lower + AT_REST:
+            starts = {one.name: one.start for one in effect.base.parameters}
+            sides = np.tile([starts[one.name] for one in effect.parameters], (SIDES, 1))
+            sides[:, angle] = np.arange(SIDES) * 2 * np.pi / SIDES
+        for side in sides:
             start = x.clone()
             start[0, columns] = torch.from_numpy(side)
             yield effect, start, columns

@@ -24,9 +24,13 @@ from helpers.optics_cases import READ_NOISE
 from scipy import stats
 
 from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation, preference
-from irlos_pipe.diagnosis.checks.drift import measure_drift, motion_ratio
-from irlos_pipe.diagnosis.checks.noise import judge_noise
-from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
+from irlos_pipe.diagnosis.checks import (
+    judge_noise,
+    measure_drift,
+    motion_ratio,
+    outstanding_pixels,
+)
+from irlos_pipe.diagnosis.conclude import screened_step
 from irlos_pipe.diagnosis.cube import without_blocks_of_time
 from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible

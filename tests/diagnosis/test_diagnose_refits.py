@@ -13,7 +13,7 @@ from helpers import diagnose_frames
 from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, WINDOW, cube, frames, image, model, optimum
 from scipy import stats
 
-from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
+from irlos_pipe.diagnosis.checks import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma

@@ -9,15 +9,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.diagnose_frames import CASE, CONDITIONS, cube, fitted, image, model
+from helpers.diagnose_frames import CASE, CONDITIONS, cube, fitted, image
 
 from irlos_pipe.diagnosis.conclude import _adjusted
 from irlos_pipe.diagnosis.effect_sizes import Covariances
-from irlos_pipe.diagnosis.fitting import Fitter, begun_at
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import SURELY, Optimum, gaussian_sigma, surely_exceeding
-from irlos_pipe.diagnosis.opposite import open_facts, opposite_side, other_side
 from irlos_pipe.diagnosis.verdict import Adjusted
-from irlos_pipe.diagnosis.view import View
+from irlos_pipe.diagnosis.workflow import open_facts, opposite_side
 from irlos_pipe.effects import CATALOGUE, FixedEffect, everyday
 from irlos_pipe.optics.psf_settings import KnownWavefront
 from irlos_pipe.stages.diagnose.output import model_entries
@@ -109,19 +108,6 @@ def test_the_model_of_a_recipe_has_them_free_from_there():
     (entry,) = model_entries(result)
     assert entry[STOP.name]["fit"] is True
     assert entry[STOP.name]["rotation_deg"] == pytest.approx(1.0)
-
-
-def test_a_stop_that_came_to_rest_begins_where_the_fit_falls():
-    distance_m, direction_rad = 0.06, 0.9
-    training = cube(image(effect=STOP, values=(distance_m, direction_rad, 0.0))).training
-    fitter = Fitter([View(model(), CONDITIONS)], training)
-    centred = begun_at(STOP, np.array([0.0, direction_rad + np.pi, 0.0]))
-    resting = fitter.explored([centred], fitted(training), iterations=0)
-    side = other_side(resting, STOP.name)
-    best = fitter.explored([begun_at(STOP, side)], resting)
-    assert best.chi2 < resting.chi2 - 25
-    assert best.values_of(STOP.name)[0] == pytest.approx(distance_m, abs=0.01)
-    assert np.cos(best.values_of(STOP.name)[1] - direction_rad) > 0.9
 
 
 @pytest.mark.parametrize("frames", [1.0, 1.5, 3.0])

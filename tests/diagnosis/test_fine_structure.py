@@ -9,7 +9,7 @@ import torch
 from helpers.diagnose_cases import CASE, FLUX_E, WAVELENGTH_NM, WINDOW, opd_nm, plain, reference
 from helpers.optics_cases import READ_NOISE, draw_frames, everything
 
-from irlos_pipe.diagnosis.checks.fine_structure import (
+from irlos_pipe.diagnosis.checks import (
     Beyond,
     FineStructure,
     highest_frequency_per_px,

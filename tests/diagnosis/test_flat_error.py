@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.diagnosis.checks.fine_structure import flat_rms
+from irlos_pipe.diagnosis.checks import flat_rms
 from irlos_pipe.diagnosis.cube import Stack
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel

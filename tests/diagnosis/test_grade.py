@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from irlos_pipe.diagnosis.acceptance import Search
-from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES
+from irlos_pipe.diagnosis.checks import PHOTONS, SPECKLES
 from irlos_pipe.diagnosis.grade import (
     copies_in_a_row,
     judged,

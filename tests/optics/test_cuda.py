@@ -18,7 +18,7 @@ from torch.overrides import TorchFunctionMode
 from torch.utils.weak import WeakIdKeyDictionary
 
 from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation
-from irlos_pipe.diagnosis.checks.drift import measure_drift
+from irlos_pipe.diagnosis.checks import measure_drift
 from irlos_pipe.diagnosis.cube import without_blocks_of_time
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum

@@ -18,7 +18,7 @@ from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, Resu
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.stages.base import StageConfig, run_of
 
-VERSION = 37
+VERSION = 38
 NEEDS = ("ingest",)
 READS = ("calibrate", "lift")
 Noll = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]

@@ -1,1 +1,0 @@
-"""Checks made besides score tests: noise, motion, drift, single pixels."""
