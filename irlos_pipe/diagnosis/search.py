@@ -188,7 +188,11 @@ class Task:
         def begun(near: Fitted | None) -> Laplace:
             whole = self._with_everyday(declared if near is None else near.continued())
             posterior = Posterior(fitter, few_colours, whole, covariance, law)
-            return posterior.minimised(posterior.start(near), FIRST, roughly=True)
+            x = posterior.start(near)
+            if further is not None:  # larger errors than those of a fit that leaves nothing would lose it
+                errors = Laplace(posterior, x, coarse=True).with_best_errors()
+                posterior = replace(posterior, covariance=errors)
+            return posterior.minimised(x, FIRST, roughly=True)
 
         starts = ordered_map(begun, [None, alone] if further is None else [alone])
         laplace = max(starts, key=lambda one: one.log_evidence)
