@@ -4,10 +4,24 @@ import re
 
 import numpy as np
 import pytest
-from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, SPOT_M, TRUE_NM, diagnosis_of
+import torch
+from helpers.diagnose_cases import (
+    CASE,
+    COMPANION,
+    FURTHER,
+    GHOST,
+    PUPIL,
+    SPOT_M,
+    SPOT_RADIUS_M,
+    TRUE_NM,
+    diagnosis_of,
+)
 
+from irlos_pipe.diagnosis.conclude import _amplitude
 from irlos_pipe.diagnosis.verdict import sentence
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.optics.psf import PsfModel
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("diagnoses")]  # each is made once
 
@@ -100,13 +114,30 @@ def test_a_rival_has_what_data_that_no_fit_has_seen_say_of_it():
 
 
 def test_an_opaque_disc_is_a_spot_where_it_is():
-    diagnosis = diagnosis_of("spot")
-    found = diagnosis.steps[0]
+    found = diagnosis_of("spot").steps[0]
     assert found.name == "pupil_spot"
     assert [found.public[key] for key in ("x_m", "y_m")] == pytest.approx(SPOT_M, abs=0.05)
-    added = diagnosis.pictures.added_amplitude
+    assert found.public["radius_m"] == pytest.approx(SPOT_RADIUS_M, rel=0.1)  # of a soft edge
+    assert found.public["opacity"] > 0.95
+
+
+def test_beside_a_spot_the_pupil_is_as_adjusted_facts_have_it_which_make_up_for_its_soft_edge():
+    """Facts take up what a soft edge misses of a disc, and move less light than it does; that is all."""
+    diagnosis, psf = diagnosis_of("spot"), PsfModel(CASE, (2, 3), dtype=torch.float64)
+
+    def change(effects: list) -> np.ndarray:
+        """Of the amplitude in the pupil, (n, n)."""
+        none, model = torch.zeros(0, dtype=torch.float64), ImageModel(psf, effects)
+        return _amplitude(model, none) - _amplitude(ImageModel(psf, []), none)
+
+    added, spot = diagnosis.pictures.added_amplitude, change([diagnosis.steps[0].effect])
+    facts, elsewhere = change([one.effect for one in diagnosis.adjusted]), np.abs(spot) < 1e-6
     assert added.min() < -0.9
-    assert np.mean(np.abs(added) > 0.05) < 0.1  # elsewhere the pupil is almost as it was
+    assert np.mean(elsewhere) > 0.95
+    assert added[elsewhere] == pytest.approx(facts[elsewhere], abs=1e-6)
+    (x, y), (x_m, y_m) = (axis * psf.grids.pupil.radius_m for axis in psf.grids.pupil.xy), SPOT_M
+    dark = np.hypot(x - x_m, y - y_m) < SPOT_RADIUS_M
+    assert np.sum(facts**2) < np.sum((spot + dark) ** 2)
 
 
 @pytest.mark.long

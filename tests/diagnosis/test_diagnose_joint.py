@@ -29,7 +29,7 @@ from irlos_pipe.effects import TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import KnownWavefront
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("joint")]  # each diagnosis is made once
 NOLLS = tuple(range(2, HIGHEST_NOLL + 1))
 STATED = ({6: -170.0}, {})  # diversities of the two recordings
 REALLY_NM = -130.0  # what the first has

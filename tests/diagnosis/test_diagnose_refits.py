@@ -10,20 +10,33 @@ import numpy as np
 import pytest
 import torch
 from helpers import diagnose_frames
-from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, WINDOW, cube, frames, image, model, optimum
+from helpers.diagnose_frames import (
+    CASE,
+    CONDITIONS,
+    NOLLS,
+    OPTIONS,
+    WINDOW,
+    cube,
+    frames,
+    image,
+    model,
+    optimum,
+)
 from scipy import stats
 
 from irlos_pipe.diagnosis.checks import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
-from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.scores import scores
-from irlos_pipe.diagnosis.view import Exposures, View
+from irlos_pipe.diagnosis.scores import families, scores
+from irlos_pipe.diagnosis.search import Task
+from irlos_pipe.diagnosis.view import Exposures, Moment, Moments, View
 from irlos_pipe.diagnosis.workflow import diagnose
-from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects import CATALOGUE, Conditions
+from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
 from irlos_pipe.effects.public_values import public_sigma
+from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.optics.psf import PsfModel
 
 
@@ -83,17 +96,51 @@ def test_what_a_direction_without_size_does_not_determine_has_no_error_and_spoil
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("fraction", "name"), [(-0.045, "spectrum"), (-0.01, "plate_scale")])
+def test_of_two_that_explain_as_much_alone_a_plausible_one_is_the_start(fraction, name):
+    """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
+    data = cube(image(effect=PlateScale(9.7), values=[fraction]))
+    moments = Moments({0: Moment("", "", CONDITIONS)})
+    task = Task(data, fitter_of(data.training), moments, OPTIONS, lambda count: None, "photon-limited")
+    alike = [one for one in families(moments, [])[0] if one.effect.name in ("plate_scale", "spectrum")]
+    at_rest = optimum(data.training)
+    assert [one.name for one in task._alone(at_rest, scores(at_rest, alike)).fitted.effects] == [name]
+
+
+def under(monkeypatch, **settings) -> Conditions:
+    """Conditions with other settings, with which images are drawn as well."""
+    changed = replace(CONDITIONS, settings=replace(CASE, **settings))
+    psf = PsfModel(changed.settings, NOLLS, dtype=torch.float64)
+    monkeypatch.setattr(diagnose_frames, "model", lambda: psf)
+    return changed
+
+
+@pytest.mark.slow
+def test_a_diagnosis_is_the_same_by_one_worker_and_by_two(monkeypatch):
+    """To the bit: one thread computes each piece."""
+    small = under(monkeypatch, window=(16, 16), pupil_samples=48)
+    taken = Exposures(frames(image() + 2.0 * np.arange(16)), small)
+    found = []
+    for count in (1, 2):
+        with workers(count):
+            found.append(diagnose([taken], [], OPTIONS))
+    one, two = found
+    assert [step.name for step in one.steps] == ["background_gradient"]
+    for what in ("modes_nm", "modes_sigma_nm", "excess_sigma"):
+        assert np.array_equal(getattr(one, what), getattr(two, what)), what
+    assert [step.public for step in one.steps] == [step.public for step in two.steps]
+    assert one.mdb == two.mdb
+    assert [repr(tried) for tried in one.tried] == [repr(tried) for tried in two.tried]
+
+
+@pytest.mark.slow
 def test_a_vibration_beside_a_faint_companion_is_no_double_star_that_nobody_resolves(monkeypatch):
     """Two equal stars 2 σ apart are as long, and their further parameters take a bit of the companion."""
-    coarse = replace(CONDITIONS, settings=replace(CASE, pupil_samples=96))
-    monkeypatch.setattr(
-        diagnose_frames, "model", lambda: PsfModel(coarse.settings, NOLLS, dtype=torch.float64)
-    )
+    coarse = under(monkeypatch, pupil_samples=96)
     vibration = CATALOGUE["vibration"].under(coarse)
     shaken = image(effect=vibration, values=vibration.values_of(sigma_mas=6.0, angle_deg=60.0))
     both = frames((shaken + 0.006 * np.roll(shaken, (7, 5), (0, 1))) / 1.006)
-    options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
-    vibration, companion = diagnose([Exposures(both, coarse)], [], options).steps
+    vibration, companion = diagnose([Exposures(both, coarse)], [], OPTIONS).steps
     assert (vibration.name, companion.name) == ("vibration", "companion")
     assert vibration.public["sigma_mas"] == pytest.approx(6.0, rel=0.02)
     assert companion.public["flux_ratio"] == pytest.approx(0.006, rel=0.05)

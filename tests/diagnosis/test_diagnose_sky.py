@@ -18,7 +18,7 @@ from irlos_pipe.effects import Conditions
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.simulate.atmosphere import Sky
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("on_sky")]  # its diagnosis serves all tests
 WINDOW, FRAMES, HIGHEST_NOLL, SEEING_ARCSEC = (40, 40), 48, 36, 0.6
 
 

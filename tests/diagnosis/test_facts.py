@@ -9,9 +9,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.diagnose_frames import CASE, CONDITIONS, cube, fitted, image
+from helpers.diagnose_frames import CASE, CONDITIONS, OPTIONS, cube, fitted, image
 
-from irlos_pipe.diagnosis.conclude import _adjusted
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, gap_between
+from irlos_pipe.diagnosis.checks import judge_noise
+from irlos_pipe.diagnosis.conclude import _adjusted, conclude
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import SURELY, Optimum, gaussian_sigma, surely_exceeding
@@ -89,6 +91,25 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
     assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
     assert one.significance == pytest.approx(one.public["flux_ratio"] / one.sigma["flux_ratio"])
     assert one.phrase.startswith("a second source of ")
+
+
+def test_where_nothing_is_named_the_nearest_is_said_with_its_size():
+    """A companion, and squares of a chessboard, which nothing explains."""
+    chess_e = 10.0 * (-1.0) ** np.add.outer(*map(np.arange, CASE.window))
+    data = cube(image(effect=COMPANION, values=(0.02, 90.0, -60.0)) + 50.0 + chess_e)
+    near = FixedEffect(COMPANION, (0.01, 85.0, -65.0), [one.name for one in COMPANION.parameters])
+    without, with_it = (Optimum(data.training, fitted(data.training, some)) for some in ([], [near]))
+    gap = gap_between(data.held_out, without.fitted, with_it.fitted)
+    nearest = Accepted(without, with_it.fitted, COMPANION.name, 9.0, 9.0, gap)
+    search = Search(without, with_it, None, [], [], [], nearest=nearest)
+    found = conclude(data, search, judge_noise(data.training.parts[0]), OPTIONS)
+    assert (found.verdict, found.steps) == ("unknown", [])
+    assert found.nearest.name == COMPANION.name
+    angle_deg = np.rad2deg(np.arctan2(-60, 90)) % 360
+    for key, value in {"flux_ratio": 0.02, "sep_mas": np.hypot(90, 60), "pa_deg": angle_deg}.items():
+        assert found.nearest.public[key] == pytest.approx(value, abs=5 * found.nearest.sigma[key]), key
+    assert 0 < found.nearest.sigma["flux_ratio"] < 0.002
+    assert found.nearest.share > 0.9
 
 
 # -- facts that are left free --------------------------------------------------------------------

@@ -7,15 +7,15 @@ that are drawn from the model itself (same code).
 import numpy as np
 import pytest
 import torch
-from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, model
+from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, OPTIONS, TRUE_NM, cube, fitted, model
 from scipy.stats import multivariate_normal
 
+from irlos_pipe.diagnosis.acceptance import Search
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.posterior import Covariance, Linear, Posterior, WavefrontLaw, with_visible_modes
-from irlos_pipe.diagnosis.search import Task
+from irlos_pipe.diagnosis.search import Task, _sides
 from irlos_pipe.diagnosis.view import Exposures, Moments, View
-from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects import CATALOGUE, FixedEffect, in_other_forms
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.open_fit import last_noll_of, visible_order
 from irlos_pipe.optics.psf import PsfModel
@@ -129,20 +129,29 @@ def test_the_odds_of_savage_and_dickey_are_those_of_two_evidences():
     assert less.x[2] == pytest.approx(0.0, abs=1e-12)
 
 
-def searched(effects, declared=()):
-    """What the search with everything free finds in frames with some effects."""
-    data = cube(with_tail(effects))
+def task_of(effects, sky_e: float = 0.0) -> Task:
+    """The search in frames with some effects."""
+    data = cube(with_tail(effects) + sky_e)
     fitter = Fitter([View(model(), CONDITIONS)], data.training)
     moments = Moments.of([Exposures(data.training.parts[0].frames, CONDITIONS)])
-    options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
-    task = Task(data, fitter, moments, options, lambda count: None, "photon-limited")
-    return task.searched_from(fitted(data.training, declared), declared)
+    return Task(data, fitter, moments, OPTIONS, lambda count: None, "photon-limited")
+
+
+def searched(effects, sky_e: float = 0.0) -> Search:
+    """What the search with everything free finds in frames with some effects."""
+    task = task_of(effects, sky_e)
+    return task.searched_from(fitted(task.cube.training), [])
+
+
+def second_image(defocus_nm: float, sep_mas: float, pa_deg: float) -> list[FixedEffect]:
+    """A ghost, and image motion."""
+    ghost, jitter = (CATALOGUE[one].under(CONDITIONS) for one in ("ghost", "tip_tilt_jitter"))
+    place = ghost.values_of(flux_ratio=0.03, sep_mas=sep_mas, pa_deg=pa_deg, defocus_nm=defocus_nm)
+    return [FixedEffect(ghost, place), FixedEffect(jitter, jitter.values_of(sigma_mas=6.0))]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("effect", "values"), [(COMPANION, PLACE), (BUMP, BUMP_VALUES), (STOP, STOP_VALUES)], ids=lambda one: ""
-)
+@pytest.mark.parametrize(("effect", "values"), [(BUMP, BUMP_VALUES), (STOP, STOP_VALUES)], ids=lambda one: "")
 def test_one_effect_beside_a_tail_of_modes_is_named_with_its_size_and_nothing_else(effect, values):
     search = searched([FixedEffect(effect, values)])
     assert [one.name for one in search.accepted] == [effect.name]
@@ -151,22 +160,54 @@ def test_one_effect_beside_a_tail_of_modes_is_named_with_its_size_and_nothing_el
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("defocus_nm", "name"), [(0.0, "companion"), (100.0, "ghost")])
-def test_a_second_image_beside_image_motion_has_the_narrowest_form_that_fits(defocus_nm, name):
+def test_a_second_image_beside_image_motion_has_the_narrowest_form_that_fits():
     """Before the motion is found, the second image is blurred as much as the star is."""
-    jitter, ghost = (CATALOGUE[one].under(CONDITIONS) for one in ("tip_tilt_jitter", "ghost"))
-    place = ghost.values_of(flux_ratio=0.03, sep_mas=110.0, pa_deg=20.0, defocus_nm=defocus_nm)
-    search = searched([FixedEffect(jitter, jitter.values_of(sigma_mas=6.0)), FixedEffect(ghost, place)])
-    assert {one.name for one in search.accepted} == {"tip_tilt_jitter", name}
+    search = searched(second_image(0.0, sep_mas=110.0, pa_deg=20.0))
+    assert {one.name for one in search.accepted} == {"tip_tilt_jitter", "companion"}
+
+
+def test_a_wider_form_begins_on_either_side_of_the_focus_and_a_narrower_one_as_it_is():
+    (ghost,) = in_other_forms("companion", CONDITIONS, PLACE, wider=True)
+    (companion,) = in_other_forms("ghost", CONDITIONS, ghost.values, wider=False)
+    half_nm = ghost.base.parameters[3].prior_sigma / 2
+    begun = [one.values.tolist() for one in _sides(ghost, len(COMPANION.parameters))]
+    assert begun == [[*PLACE, -half_nm, 0.0], [*PLACE, half_nm, 0.0]]
+    assert _sides(companion, len(ghost.base.parameters)) == [companion]
 
 
 @pytest.mark.slow
-def test_an_ao_residual_that_was_missing_is_named_beside_everything_else():
-    """It is never absent, so no odds are for it: the search with declared facts names it."""
-    halo = CATALOGUE["seeing_halo"].under(CONDITIONS)
+def test_of_two_sides_of_the_focus_the_likelier_is_taken(monkeypatch):
+    """Beside motion that the model lacks, a fit begun on the other side is far from the best."""
+    both = second_image(120.0, sep_mas=60.0, pa_deg=200.0)
+    task = task_of(both)
+    fitter, few_colours = with_visible_modes(task.fitter)
+    covariance = Covariance.of(fitter.stack, fitter.views)
+    law = WavefrontLaw.of(CONDITIONS.ncpa_law, NOLLS[-1])
+    sharp = FixedEffect(COMPANION, both[0].values[:3], [one.name for one in COMPANION.parameters])
+    posterior = Posterior(fitter, few_colours, [sharp], covariance, law)
+    laplace = posterior.minimised(posterior.start(), 16)
+
+    whole, alone = task._in_best_form(laplace, "companion", wider=True), []
+    for side in (0, 1):
+        one_side = lambda form, known, side=side: [_sides(form, known)[side]]  # noqa: E731
+        monkeypatch.setattr("irlos_pipe.diagnosis.search._sides", one_side)
+        alone.append(task._in_best_form(laplace, "companion", wider=True).log_evidence)
+    assert abs(alone[0] - alone[1]) > 25
+    assert whole.log_evidence == pytest.approx(max(alone), abs=1.0)
+
+
+@pytest.mark.slow
+def test_an_ao_residual_that_was_missing_is_named_and_a_faint_second_image_last_however_much_it_explains():
+    """To the absence of the residual no model is linear. Any camera makes a second image of 0.45 %."""
+    names = ("seeing_halo", "background_gradient", "companion")
+    halo, gradient, companion = (CATALOGUE[one].under(CONDITIONS) for one in names)
     values = [one.start for one in halo.parameters]
-    search = searched([FixedEffect(halo, values), FixedEffect(COMPANION, PLACE)])
-    assert {one.name for one in search.accepted} == {"seeing_halo", "companion"}
+    slope, place = gradient.values_of(e_per_pixel=1.0, angle_deg=30.0), (0.0045, *PLACE[1:])
+    pairs = zip((halo, gradient, companion), (values, slope, place), strict=True)
+    search = searched([FixedEffect(*one) for one in pairs], sky_e=30.0)
+    assert [one.name for one in search.accepted] == [*names]
+    assert search.accepted[2].gain > 3 * search.accepted[1].gain
+    assert search.accepted[2].values == pytest.approx(place, rel=0.1)
     found = halo.describe(search.final.fitted.values_of("seeing_halo"))
     assert found["wfe_nm"] == pytest.approx(halo.describe(np.array(values))["wfe_nm"], rel=0.1)
 

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from helpers.diagnose_frames import CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, frames, image, model
+from helpers.diagnose_frames import CONDITIONS, FLUX_E, NOLLS, OPTIONS, TRUE_NM, cube, frames, image, model
 from helpers.light_path_derivatives import assert_gradient
 from helpers.optics_cases import vector
 from helpers.simulated_scenes import image as simulated
 
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.scores import families
 from irlos_pipe.diagnosis.sharing import sharing
 from irlos_pipe.diagnosis.view import Exposures, Moments, View, placed
@@ -142,7 +141,7 @@ def night(number: int, star: str, effects: dict) -> Exposures:
 @pytest.mark.long
 def test_a_ghost_common_to_two_stars_and_a_companion_of_one_have_their_names():
     taken = [night(0, "A", {"ghost": GHOST, "companion": COMPANION}), night(1, "B", {"ghost": GHOST})]
-    found = diagnose(taken, [], Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0))
+    found = diagnose(taken, [], OPTIONS)
     steps = {step.name: step for step in found.steps}
     assert set(steps) == {"ghost", "companion"}
     assert steps["ghost"].effect.acts_in is None
@@ -155,6 +154,6 @@ def test_a_ghost_common_to_two_stars_and_a_companion_of_one_have_their_names():
 @pytest.mark.slow
 def test_nights_that_differ_in_their_wavefront_alone_have_no_names():
     taken = [night(number, "A", {}) for number in (0, 1)]
-    found = diagnose(taken, [], Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0))
+    found = diagnose(taken, [], OPTIONS)
     assert found.verdict == "none"
     assert all(0.3 * DRIFT_NM < one.ncpa_change_nm < 1.5 * DRIFT_NM for one in found.together.stars)

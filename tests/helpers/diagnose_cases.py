@@ -32,7 +32,7 @@ CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, HIGHEST_NOLL, ncpa_law=NC
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
 FURTHER = {"flux_ratio": 0.01, "x_px": 7.8, "y_px": 10.4}
 PUPIL = {"rotation_deg": 2.0, "obscuration_m": 1.22, "vane_width_m": 0.05}
-SPOT_M = (1.6, -1.9)
+SPOT_M, SPOT_RADIUS_M = (1.6, -1.9), 0.45
 GHOST = COMPANION | {"defocus_nm": 80.0}
 
 
@@ -68,10 +68,10 @@ def with_companion() -> np.ndarray:
     return with_second_images(COMPANION)
 
 
-def with_spot(radius_m: float = 0.45) -> np.ndarray:
+def with_spot() -> np.ndarray:
     """An opaque disc in the pupil."""
     x, y = SPOT_M
-    return with_opaque(lambda grid: np.hypot(grid.x - x, grid.y - y) < radius_m)
+    return with_opaque(lambda grid: np.hypot(grid.x - x, grid.y - y) < SPOT_RADIUS_M)
 
 
 def with_scratch(width_m: float = 0.12) -> np.ndarray:

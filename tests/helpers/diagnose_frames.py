@@ -19,6 +19,7 @@ from helpers.optics_cases import (
 from irlos_pipe.diagnosis.cube import Cube, Stacks, without_blocks_of_time
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.image_model import ImageModel
@@ -29,6 +30,7 @@ from irlos_pipe.optics.psf import PsfModel
 WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
 CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
 CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, NOLLS[-1], ncpa_law=NCPA_LAW)
+OPTIONS = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
 TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
 
 
