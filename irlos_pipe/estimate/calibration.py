@@ -193,10 +193,12 @@ def _all_modes(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> Opened | N
     return _opened(task, fit[0].model.effects.effects, fit)
 
 
-def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, *, settle: bool = True) -> Opened | None:
-    """The fit of all modes with these effects, from one with some of them, `held`."""
-    problem, values = task.released(effects, held)
-    return open_basis(problem, values, max_iterations=task.options.max_iterations, settle=settle)
+def _opened(
+    task: CubeFit, effects: Sequence[Effect], near: Fit, law: TailLaw | None = None, *, settle: bool = True
+) -> Opened | None:
+    """The fit of all modes with these effects, from one with some of them, `near`; see `open_basis`."""
+    limit = task.options.max_iterations
+    return open_basis(task.problem(effects), near, law=law, max_iterations=limit, settle=settle)
 
 
 def _likeliest(
@@ -274,14 +276,8 @@ def _with_second_image(task: CubeFit, rough: Opened, image: Effect) -> Opened:
 
 def _with_one_more(task: CubeFit, opened: Opened, further: Effect, *, settle: bool = True) -> Opened:
     """The fit of all modes with a `further` effect, from where it is."""
-    problem, solution = opened.fit
-    closed, values = task.released([*problem.model.effects.effects, further], opened.fit)
-    found_nm = dict(zip(problem.layout.nolls, solution.values[0].tolist(), strict=False))
-    limit = task.options.max_iterations
-    found = open_basis(
-        closed, values, beyond_nm=found_nm, law=opened.law, max_iterations=limit, settle=settle
-    )
-    return found or opened
+    effects = [*opened.problem.model.effects.effects, further]
+    return _opened(task, effects, opened.fit, opened.law, settle=settle) or opened
 
 
 def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:

@@ -107,6 +107,22 @@ class ImageFit(ModesFit):
         """Return the fit of the same images by a `model` of other parameters, those of a `layout`."""
         return ImageFit(model, layout, self.images, self.root_weight.double() ** -2, loss=self.loss)
 
+    def carried(self, x: torch.Tensor, other: ImageFit) -> torch.Tensor:
+        """Return where these fits, at `x` (batch, parameters), are in `other` ones, (batch, its parameters).
+
+        The modes of both begin with the same one; effects go by their labels. Modes that are lacking are 0,
+        and parameters of effects that are not free here begin as declared.
+        """
+        old, new, own, effects = self.layout, other.layout, self.model.effects, other.model.effects
+        there = new.start(x[:, -2:-1])
+        common = min(len(old.nolls), len(new.nolls))
+        there[:, :common], there[:, -1] = x[:, :common], x[:, -1]
+        known, free = x[:, old.effect_values], there[:, new.effect_values]
+        for label in set(own.labels).intersection(effects.labels) if old.effects else ():
+            if columns := own.columns_of(label):
+                free[:, effects.columns_of(label)] = known[:, columns]
+        return there
+
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
 

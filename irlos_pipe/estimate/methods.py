@@ -279,22 +279,6 @@ class CubeFit:
         """Return where a fit that knows nothing may begin, and one with the low modes of single frames."""
         return [scheme_of(self.options).start(self.frames, problem), self._second_start(problem)]
 
-    def released(self, effects: Sequence[Effect], held: Fit) -> tuple[ImageFit, torch.Tensor]:
-        """Return the problem with these effects, and where a fit with some of them, `held`, is in it.
-
-        Those that are free there are so here as well. The fit may have more modes.
-        """
-        problem = self.problem(effects)
-        old, new = held[0].layout, problem.layout
-        found = held[1].values[0]
-        values = new.start(problem.images.double().mean(1).cpu())
-        values[0, new.modes], values[0, -2:] = found[: len(new.nolls)], found[-2:]
-        pieces = held[0].model.effects.split(found[old.effect_values])
-        starts = problem.model.effects.split(values[0, new.effect_values])
-        joined = [pieces[one] if len(pieces.get(one, ())) else start for one, start in starts.items()]
-        values[0, new.effect_values] = torch.as_tensor(np.concatenate([np.empty(0), *joined]))
-        return problem, values
-
     def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
         """The solution, or better ones with parts of the pupil whole waves nearer or further."""
         while not self._is_plausible(problem, solution):
