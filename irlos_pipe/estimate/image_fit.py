@@ -384,6 +384,11 @@ class JoinedFit(ModesFit):
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
         return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
 
+    def chi2(self, x: torch.Tensor) -> float:
+        """Return χ² of all images."""
+        parts = enumerate(self.parts)
+        return sum(float(part.reduced_chi2(self.part(x, n))[0]) * part.freedom for n, part in parts)
+
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Half of χ² plus that of the prior, (1,)."""
         value = _half_chi2(x - self.prior_mean, self.prior_precision)

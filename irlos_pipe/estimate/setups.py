@@ -111,11 +111,6 @@ class SetupsFit(JoinedFit):
             other.prior_precision[:, column] = (accuracy * nm) ** -2
         return other
 
-    def chi2(self, x: torch.Tensor) -> float:
-        """Return χ² of all images."""
-        parts = enumerate(self.parts)
-        return sum(float(part.reduced_chi2(self.part(x, n))[0]) * part.freedom for n, part in parts)
-
     def twin(
         self, setups: Sequence[Setup], solution: Solution, law: NcpaLaw | None
     ) -> tuple[TwinCheck, Solution]:
