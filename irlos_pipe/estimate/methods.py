@@ -330,7 +330,7 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, max_iterations: int) -> 
     """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
 
     The variables are scaled by the curvature at the `start` (batch, parameters), so that nm, electrons and
-    variances are of one size.
+    variances are of one size. Whether it has converged is judged as of other fits, at a last step of these.
     """
     everyone = torch.arange(len(start))
     _, _, hessian = problem.normal_equations(start, everyone)
@@ -352,11 +352,5 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, max_iterations: int) -> 
         return total
 
     optimiser.step(closure)
-    x = (start + scale * u.detach()).clamp(problem.lower, problem.upper)
-    evaluations = optimiser.state[u]["n_iter"]
-    value, gradient, hessian = problem.normal_equations(x, everyone)
-    small = (gradient.abs() * scale).amax(1) < 10 * GRADIENT_TOLERANCE * (2 * value).clamp_min(1).sqrt()
-    finite = torch.isfinite(value)
-    outcome = zip(small, finite, strict=True)
-    status = [CONVERGED if s and f else MAX_ITERATIONS if f else INVALID for s, f in outcome]
-    return Solution(x, scaled_inverse(hessian), status, torch.full((len(start),), evaluations), value)
+    ended = solve(problem, start + scale * u.detach(), max_iterations=1)
+    return replace(ended, iterations=torch.full((len(start),), optimiser.state[u]["n_iter"]))
