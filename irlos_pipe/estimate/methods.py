@@ -6,7 +6,6 @@ squares come first, as their curvature hardly changes. Only frames that are not 
 of their own.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -57,12 +56,14 @@ class Estimates:
     frames_nm: np.ndarray  # (frames, modes), the same of every frame; NaN where its fit failed
 
 
-class Scheme(ABC):
-    """Which images of a cube are fitted, and how many coefficient vectors there are."""
+class Scheme:
+    """Which images of a cube are fitted, by how many vectors: all, brought to the same flux, by one."""
 
-    @abstractmethod
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
         """Images (batch, repeats, rows, columns) [e-], and their variance, which broadcasts to them."""
+        images, flux = frames.images_e, frames.flux_e
+        variance = frames.noise.variance_e2(frames.mean_e)
+        return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
 
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
         """PSF model for `settings` with the modes `nolls` on a `device`, as precise as the images need."""
@@ -126,15 +127,6 @@ class EveryFrame(Scheme):
         return Estimates(values, values[0, modes].numpy(), frames_nm)
 
 
-class AllFrames(Scheme):
-    """All frames, brought to the same flux, by one vector."""
-
-    def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        images, flux = frames.images_e, frames.flux_e
-        variance = frames.noise.variance_e2(frames.mean_e)
-        return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
-
-
 def start_at_centroids(
     frames: Frames, problem: ImageFit, start_nm: torch.Tensor | np.ndarray | None = None
 ) -> torch.Tensor:
@@ -173,8 +165,8 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
     return Estimates(x, total.numpy(), (total + frames.responses(gain)).numpy())
 
 
-MEAN_IMAGE, EVERY_FRAME, ALL_FRAMES = MeanImage(), EveryFrame(), AllFrames()
-SCHEMES: dict[Fits, Scheme] = {"mean image": MEAN_IMAGE, "every frame": EVERY_FRAME, "all frames": ALL_FRAMES}
+MEAN_IMAGE, EVERY_FRAME = MeanImage(), EveryFrame()
+SCHEMES: dict[Fits, Scheme] = {"mean image": MEAN_IMAGE, "every frame": EVERY_FRAME, "all frames": Scheme()}
 
 
 def scheme_of(options: CalibrationOptions) -> Scheme:

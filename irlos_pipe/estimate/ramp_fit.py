@@ -23,9 +23,9 @@ from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTi
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.estimate.calibration_errors import public_errors
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, ImageFit, Layout
 from irlos_pipe.estimate.lift import LiftResult, image_problem, lift, smooth
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.starts import STEP_NM, evenly, scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
