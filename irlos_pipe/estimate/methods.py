@@ -263,26 +263,25 @@ class CubeFit:
         solution = self._solve(problem, start, self.report)
         alone = near is None and self.start_nm is None
         if alone and METHODS[self.options.method].effects and not self._is_plausible(problem, solution):
-            solution = better(solution, self._solve(problem, self._second_start(problem)))
+            solution = better(solution, self._solve(problem, self.starts(problem)[1]))
             solution = self._by_whole_waves(problem, solution)
         return problem, solution
 
     def starts(self, problem: ImageFit) -> list[torch.Tensor]:
         """Return where a fit that knows nothing may begin, and one with the low modes of single frames."""
-        return [scheme_of(self.options).start(self.frames, problem), self._second_start(problem)]
+        nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
+        model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
+        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
+        return [scheme_of(self.options).start(cube, problem), start_at_centroids(cube, problem, median_nm)]
 
     def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
         """The solution, or better ones with parts of the pupil whole waves nearer or further."""
-        while not self._is_plausible(problem, solution):
-            starts = a_wave_off(problem, solution.values[:1])
-            if not starts:
-                break
-            nearest = min(starts, key=lambda one: float(problem.objective(one, FIRST)))
-            found = better(solution, self._solve(problem, nearest))
-            if found is solution:
-                break
-            solution = found
-        return solution
+        starts = a_wave_off(problem, solution.values[:1])
+        if not starts or self._is_plausible(problem, solution):
+            return solution
+        nearest = min(starts, key=lambda one: float(problem.objective(one, FIRST)))
+        found = better(solution, self._solve(problem, nearest))
+        return solution if found is solution else self._by_whole_waves(problem, found)
 
     def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
         """Whether the first solution is converged, with a nominal χ²/ν."""
@@ -298,13 +297,6 @@ class CubeFit:
         variance = masked_variance(variance, self.frames.good)
         data = (one.flatten(-2).to(self.psf.device) for one in (images, variance))
         return ImageFit(model, layout, *data, loss=self.options.loss_function)
-
-    def _second_start(self, problem: ImageFit) -> torch.Tensor:
-        """The start with the low modes of single frames."""
-        nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
-        model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
-        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
-        return start_at_centroids(cube, problem, median_nm)
 
     def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report = silent) -> Solution:
         limit = self.options.max_iterations

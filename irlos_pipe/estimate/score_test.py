@@ -346,11 +346,6 @@ class Mirrored:
         """Amplitude above which the images are mirrored: nearer to 1, and no chance."""
         return max(0.5, SIGNIFICANT * self.sigma)
 
-    @property
-    def seen(self) -> bool:
-        """Whether the images are mirrored."""
-        return self.tells and self.amplitude > self.limit
-
 
 def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrored | None:
     """Return how much of the mirrored pupil the mean image shows; None where nothing determines it.
