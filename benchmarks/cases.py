@@ -36,10 +36,9 @@ from benchmarks.inputs import (
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions, LiftOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.lift import lift
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import Configuration, Criterion, dim, scan
 from irlos_pipe.estimate.tabulated import tabulated

@@ -1,4 +1,4 @@
-"""How long one measurement of the focus takes: `Focus.measure` and LIFT of one frame, on the same images.
+"""How long one measurement of the focus takes: `Focus.solved` and LIFT of one frame, on the same images.
 
 Calls alternate in blocks, so that both meet the same load of the machine. Processor time is what a quiet core
 would show; the wall clock has other programs in it.
@@ -61,7 +61,7 @@ def main(calls: int) -> None:
     with threadpool_limits(1), torch.inference_mode():
         focus, single = compare(calls)
     print(f"{'':<24}{'calls':>8}{'wall p50':>10}{'p99':>10}{'CPU p50':>10}{'p99':>10}   [ms]")
-    print(single.line("lift, one frame"), focus.line("Focus.measure"), *histogram(focus.cpu_ms), sep="\n")
+    print(single.line("lift, one frame"), focus.line("Focus.solved"), *histogram(focus.cpu_ms), sep="\n")
 
 
 def compare(calls: int) -> tuple[Times, Times]:
@@ -76,7 +76,7 @@ def compare(calls: int) -> tuple[Times, Times]:
         lift(table, torch.from_numpy(image_e)[None], torch.from_numpy(good), NOISE, start_nm)
 
     blocks = [
-        (timed(sensor.measure, images_e, min(BLOCK, calls)), timed(fit, images_e, LIFT_SHARE))
+        (timed(sensor.solved, images_e, min(BLOCK, calls)), timed(fit, images_e, LIFT_SHARE))
         for _ in range(max(1, calls // BLOCK))
     ]
     ours, theirs = zip(*blocks, strict=True)

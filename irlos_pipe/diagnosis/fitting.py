@@ -357,9 +357,3 @@ class JointFit(CheapGradientProblem, JoinedFit):
             images.append(image[0].cpu())
             jacobian[self.columns[number], self.pixels[number]] = own[0].cpu().double()[self.rows[number]]
         return torch.cat(images), jacobian
-
-    @torch.no_grad()
-    def chi2(self, x: torch.Tensor) -> torch.Tensor:
-        """χ² of all mean images at `x`."""
-        left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
-        return torch.stack(list(left)).sum()

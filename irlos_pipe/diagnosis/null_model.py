@@ -15,7 +15,7 @@ from scipy import special
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, frozen_effects
+from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, frozen_effects, orthonormal
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SURE = 25.0  # ln odds from which an effect is named: those of false ones reached 14 in tuning runs
@@ -78,13 +78,9 @@ class Optimum(FittedModel):
         image, columns = fitted.linearised
         residual = (stack.mean_e - image) * root
         self.stack = stack.against(residual, len(columns))
-        precision = problem.prior_precision[0].sqrt()
-        design = torch.cat([(columns * root).mT, torch.diag(precision)])
-        design = design / design.norm(dim=0).clamp_min(1e-300)
-        whole = torch.linalg.qr(design)[0]
-        basis = whole[: len(residual)]
-        prior = -(x[0] - problem.prior_mean[0]) * precision
-        unconverged = basis.mT @ residual + whole[len(residual) :].mT @ prior
+        precision = problem.prior_precision[0]
+        basis, of_priors = orthonormal(columns * root, precision)
+        unconverged = basis.mT @ residual - of_priors.mT @ ((x[0] - problem.prior_mean[0]) * precision.sqrt())
         super().__init__(residual, root, basis, unconverged)
 
     def under(self, stack: Stacks) -> "Optimum":

@@ -146,7 +146,9 @@ def calibrate(
         note("all modes fitted")
     if opened is not None and (adjust_always or start_nm is None):
         declared, nominal = opened, nominal_of(task.frames, opened.problem, opened.solution.values[:1])
-        task, opened = _likeliest(task, closed, declared, nominal, adjustable, adjust_always)
+        wrong = adjustable and (adjust_always or chi2_nu_of(opened.fit) > nominal.most_behind_ao)
+        found = _adjusted(task, closed, opened, adjustable, adjust_always) if wrong else None
+        task, opened = found or (task, likelier_minimum(task, closed, opened, nominal.most))
         adjusted = opened.problem.model.effects.labels != declared.problem.model.effects.labels
         nominal = nominal if opened is declared else None
         note("facts of the instrument adjusted" if adjusted else "other explanations compared")
@@ -193,29 +195,12 @@ def _all_modes(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> Opened | N
     return _opened(task, fit[0].model.effects.effects, fit)
 
 
-def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, *, settle: bool = True) -> Opened | None:
-    """The fit of all modes with these effects, from one with some of them, `held`."""
-    problem, values = task.released(effects, held)
-    return open_basis(problem, values, max_iterations=task.options.max_iterations, settle=settle)
-
-
-def _likeliest(
-    task: CubeFit,
-    closed: Fit,
-    opened: Opened,
-    nominal: NominalChi2,
-    adjustable: Sequence[Effect],
-    always: bool,
-) -> tuple[CubeFit, Opened]:
-    """The fit as declared, `opened` from `closed`, or a likelier one, and the task with its weights.
-
-    Where facts explain the images that are not those of any instrument, no other minima are looked for.
-    """
-    if adjustable and (always or chi2_nu_of(opened.fit) > nominal.most_behind_ao):
-        found = _adjusted(task, closed, opened, adjustable, always)
-        if found is not None:
-            return found
-    return task, likelier_minimum(task, closed, opened, nominal.most)
+def _opened(
+    task: CubeFit, effects: Sequence[Effect], near: Fit, law: TailLaw | None = None, *, settle: bool = True
+) -> Opened | None:
+    """The fit of all modes with these effects, from one with some of them, `near`; see `open_basis`."""
+    limit = task.options.max_iterations
+    return open_basis(task.problem(effects), near, law=law, max_iterations=limit, settle=settle)
 
 
 def _adjusted(
@@ -225,7 +210,8 @@ def _adjusted(
 
     What the model still misses, where that is not much, counts as an error of every pixel in proportion to
     its light, or the cores of bright stars would bend all that is free. Unless it is to be adopted `always`:
-    None where much is missed, and the fit as declared where facts are not those of any instrument.
+    None where much is missed, and the fit as declared where facts are not those of any instrument: other
+    minima are not looked for then.
     """
     limit = task.options.max_iterations
     everywhere = [effect for effect in adjustable if not effect.copies_star]
@@ -274,14 +260,8 @@ def _with_second_image(task: CubeFit, rough: Opened, image: Effect) -> Opened:
 
 def _with_one_more(task: CubeFit, opened: Opened, further: Effect, *, settle: bool = True) -> Opened:
     """The fit of all modes with a `further` effect, from where it is."""
-    problem, solution = opened.fit
-    closed, values = task.released([*problem.model.effects.effects, further], opened.fit)
-    found_nm = dict(zip(problem.layout.nolls, solution.values[0].tolist(), strict=False))
-    limit = task.options.max_iterations
-    found = open_basis(
-        closed, values, beyond_nm=found_nm, law=opened.law, max_iterations=limit, settle=settle
-    )
-    return found or opened
+    effects = [*opened.problem.model.effects.effects, further]
+    return _opened(task, effects, opened.fit, opened.law, settle=settle) or opened
 
 
 def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:

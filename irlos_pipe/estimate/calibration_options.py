@@ -1,4 +1,4 @@
-"""What can be chosen of a calibration: method, loss, optimiser, modes, prior; and parts of estimates.
+"""What can be chosen of a calibration, and of LIFT; and parts of estimates.
 
 Five of the methods are those of the paper (its Fig. "methods"), the first puts the AO residual into the
 model and needs the mean image only. `methods` fits them. The parts are in results.json as they are:
@@ -107,6 +107,33 @@ class CalibrationOptions:
         """Return the same with the method's defaults filled in."""
         highest_noll: HighestNoll = OPEN if self.open else self.last_noll
         return replace(self, loss=self.loss_function.name, highest_noll=highest_noll)
+
+
+NoiseSource = Literal["data", "model", "iterative"]
+
+
+@dataclass(frozen=True)
+class LiftOptions:
+    """The same of LIFT."""
+
+    # where the variances come from: the smoothed image ("data"); the model fitted with those ("model"); or
+    # the model of the very estimate ("iterative")
+    noise: NoiseSource = "iterative"
+    # (images, modes), and (modes,): Gaussian prior; with it the estimate is MAP, without it ML
+    prior_mean_nm: torch.Tensor | None = None
+    prior_sigma_nm: torch.Tensor | None = None
+    max_iterations: int = 40
+    # Of the residuals: whitened, but in electrons for "l1", the loss of the paper's DIP. Variances cannot
+    # follow the very estimate of a robust loss: with "iterative" they are those of "model".
+    loss: LossName = "gaussian"
+
+    @property
+    def loss_function(self) -> Loss:
+        return LOSSES[self.loss]
+
+    def of(self, which: torch.Tensor) -> LiftOptions:
+        mean_nm = self.prior_mean_nm
+        return replace(self, prior_mean_nm=mean_nm if mean_nm is None else mean_nm[which])
 
 
 DECISIVE = 10.0  # evidence from which a sign counts as known: odds of 150 to 1

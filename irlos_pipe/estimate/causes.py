@@ -357,11 +357,12 @@ def _with_few_modes(problem: ImageFit, x: torch.Tensor) -> tuple[ImageFit, torch
 
 def _fewer(problem: ImageFit, x: torch.Tensor, kept: int) -> tuple[ImageFit, torch.Tensor]:
     """The fit with its first modes only, and where it is."""
-    layout, count = problem.layout, len(problem.layout.nolls)
-    kept, sigma, psf = min(kept, count), layout.prior_sigma_nm, problem.model.psf
+    layout, psf = problem.layout, problem.model.psf
+    sigma = layout.prior_sigma_nm
     fewer = replace(layout, nolls=layout.nolls[:kept], prior_sigma_nm=None if sigma is None else sigma[:kept])
     model = ImageModel(like(psf, psf.settings, fewer.nolls), problem.model.effects.effects)
-    return problem.posed(model, fewer), torch.cat([x[:1, :kept], x[:1, count:]], dim=1)
+    posed = problem.posed(model, fewer)
+    return posed, problem.carried(x[:1], posed)
 
 
 @dataclass(frozen=True)
@@ -383,15 +384,10 @@ class _Fit:
             effects.append(added)
         path = psf if suspect.settings is None else like(psf, suspect.settings, nolls)
         model = ImageModel(path, effects)
-        rest = iter(x[0, problem.layout.effect_values].tolist())
-        own: list[int] = []
-        parts: list[float] = []
-        for one in model.effects.effects:
-            begin = len(nolls) + len(parts)
-            own += range(begin, begin + len(one.parameters)) if one is added else ()
-            parts += [p.start if one is added else next(rest) for p in one.parameters]
-        at = torch.tensor([[*x[0, : len(nolls)].tolist(), *parts, *x[0, -2:].tolist()]], dtype=torch.float64)
-        return cls(problem.posed(model, replace(problem.layout, effects=model.effects.parameters)), at, own)
+        posed = problem.posed(model, replace(problem.layout, effects=model.effects.parameters))
+        acting = zip(model.effects.labels, model.effects.effects, strict=True)
+        own = [index for label, one in acting if one is added for index in model.effects.columns_of(label)]
+        return cls(posed, problem.carried(x, posed), [len(nolls) + index for index in own])
 
     def further(self, steps: int) -> _Fit:
         """Return the fit some steps on, all parameters free; as it is where nothing can be computed."""
@@ -404,11 +400,9 @@ class _Fit:
         return _Fit(self.problem, solution.values, self.own, solution.covariance[0].numpy())
 
     def with_modes(self, problem: ImageFit, x: torch.Tensor, suspect: Suspect) -> _Fit:
-        """The fit of few modes as that of a `problem` with more, which stand as in `x`."""
-        few, at = len(self.problem.layout.nolls), x.clone()
-        rest = [column for column in range(few, self.x.shape[1]) if column not in self.own]
-        at[:, :few], at[:, len(problem.layout.nolls) :] = self.x[:, :few], self.x[:, rest]
-        return _Fit.of(problem, at, suspect, self.x[0, list(self.own)].numpy())
+        """The fit of few modes as that of a `problem` at `x` with more, which are 0."""
+        whole = _Fit.of(problem, x, suspect, self.x[0, list(self.own)].numpy())
+        return replace(whole, x=self.problem.carried(self.x, whole.problem))
 
     @cached_property
     def chi2(self) -> float:

@@ -11,7 +11,7 @@ with a piston p and tilts t, s of its own, which belong to nobody and to the fas
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,6 @@ import torch
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.effects import Effect, fixed_optics
 from irlos_pipe.estimate.calibration_options import StrehlPart
-from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
@@ -72,20 +71,20 @@ def predict_correction(
     fitted_modes_nm: np.ndarray,
     zernike_nm: np.ndarray,
     gain: np.ndarray,
-    make_optics: Callable[[LightPath], Optics],
+    effects: Sequence[Effect],
 ) -> Prediction:
     """Return images before and after a correction; tip and tilt are left out of both.
 
-    The `fitted_modes_nm` go with the effects of `make_optics`; `zernike_nm` are those of the whole wavefront,
-    which is what is corrected, by the part `gain` of each mode, (modes,) all three. ``make_optics(model)``
-    gives what AO residual, jitter and other effects make of the light path.
+    The `fitted_modes_nm` go with the `effects`, AO residual, jitter and others, all held; `zernike_nm` are
+    those of the whole wavefront, which is what is corrected, by the part `gain` of each mode, (modes,) all
+    three.
     """
     model = light_path(replace(settings, known=KnownWavefront()), nolls)
     motion = np.isin(nolls, TIP_TILT)
     now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
     left_nm = np.where(motion, now_nm, fitted_modes_nm - gain * zernike_nm)
     wavefronts = torch.as_tensor(np.stack([now_nm, left_nm]))
-    images = model.images(wavefronts, make_optics(model)).double().numpy()
+    images = model.images(wavefronts, fixed_optics(effects, model.grids)).double().numpy()
     perfect = model.images(torch.zeros(1, len(nolls)))[0].double().numpy()
     (rows, columns), peak = settings.window, perfect.max()
     centre_px, reach_px = ((rows - 1) / 2, (columns - 1) / 2), min(rows, columns) // 2
@@ -140,8 +139,7 @@ def strehl_budget(
 
 def _peak(model: LightPath, modes_nm: np.ndarray, effects: Sequence[Effect]) -> float:
     """Brightest pixel of a unit-flux image."""
-    optics = fixed_optics(list(effects), model.grids)
-    return float(model.images(torch.as_tensor(modes_nm)[None], optics).max())
+    return float(model.images(torch.as_tensor(modes_nm)[None], fixed_optics(effects, model.grids)).max())
 
 
 RANK = 1e-6  # part of the largest singular value below which one counts as zero

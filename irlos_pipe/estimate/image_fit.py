@@ -26,7 +26,7 @@ from irlos_pipe.numerics.solver import CHI2_TOLERANCE, Problem, scaled_inverse
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
-OF_IMAGES = ("model", "few_colours", "held")  # what images and derivatives depend on, besides the parameters
+OF_IMAGES = ("model", "few_colours")  # what images and derivatives depend on, besides the parameters
 MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing is known of its noise
 # of a fit, some vectors and their members
 Piece = Callable[[Any, torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
@@ -44,9 +44,9 @@ class ImageFit(ModesFit):
     """Images against those of an `ImageModel`; never changed, methods return changed copies.
 
     The modes of the model's PSF are the fitted ones. Its free effect parameters are either those of
-    `layout.effects`, fitted along, or stay at `held`. The data `images_e` are (batch, repeats, pixels), those
-    along `repeats` share one parameter vector; their variance, broadcastable to them, is infinite for masked
-    pixels.
+    `layout.effects`, fitted along, or stay where they start. The data `images_e` are (batch, repeats,
+    pixels), those along `repeats` share one parameter vector; their variance, broadcastable to them, is
+    infinite for masked pixels.
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
@@ -68,7 +68,6 @@ class ImageFit(ModesFit):
         self.reweighted, self.tolerance, self.same_unit = not loss.quadratic, CHI2_TOLERANCE, layout.modes
         self.images = images_e
         self.device = model.psf.device
-        self.held = model.effects.starts
         self.root_weight = self._root_weight(variance_e2)
         self.freedom = max(
             1,
@@ -107,6 +106,22 @@ class ImageFit(ModesFit):
         """Return the fit of the same images by a `model` of other parameters, those of a `layout`."""
         return ImageFit(model, layout, self.images, self.root_weight.double() ** -2, loss=self.loss)
 
+    def carried(self, x: torch.Tensor, other: ImageFit) -> torch.Tensor:
+        """Return where these fits, at `x` (batch, parameters), are in `other` ones, (batch, its parameters).
+
+        The modes of both begin with the same one; effects go by their labels. Modes that are lacking are 0,
+        and parameters of effects that are not free here begin as declared.
+        """
+        old, new, own, effects = self.layout, other.layout, self.model.effects, other.model.effects
+        there = new.start(x[:, -2:-1])
+        common = min(len(old.nolls), len(new.nolls))
+        there[:, :common], there[:, -1] = x[:, :common], x[:, -1]
+        known, free = x[:, old.effect_values], there[:, new.effect_values]
+        for label in set(own.labels).intersection(effects.labels) if old.effects else ():
+            if columns := own.columns_of(label):
+                free[:, effects.columns_of(label)] = known[:, columns]
+        return there
+
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
 
@@ -123,10 +138,6 @@ class ImageFit(ModesFit):
     def members(self, which: torch.Tensor) -> Self:
         """Return the fits of some members only."""
         return self._with(**{name: getattr(self, name)[which] for name in self.per_member})
-
-    def holding(self, values: torch.Tensor) -> Self:
-        """Return the same fits with the effects that are not fitted held at `values`."""
-        return self._with(held=values)
 
     def with_tolerance(self, tolerance: float) -> Self:
         """Return the same fits, done where less than this fall of χ² is ahead, see `negligible`."""
@@ -209,11 +220,6 @@ class ImageFit(ModesFit):
         self.known = (x.clone(), *found) if len(x) == 1 else None
         return found
 
-    def predict_and_all_derivatives(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return images and derivatives; columns: modes, effects (held ones too), flux, background."""
-        image, columns = self.model.predict_and_jacobian(*self._arguments(x))
-        return image.flatten(1), columns.flatten(2)
-
     def curvature_weights(self, x: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
         """Return the weights of the pixels in the Hessian at `x`, (members, pixels), float64.
 
@@ -227,8 +233,9 @@ class ImageFit(ModesFit):
 
     def _arguments(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Modes, flux, background and effect parameters, in the order of `ImageModel.predict`."""
-        values = x[0, self.layout.effect_values].cpu() if self.layout.effects else self.held
-        return x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1], values
+        layout = self.layout
+        values = x[0, layout.effect_values].cpu() if layout.effects else self.model.effects.starts
+        return x[:, layout.modes].to(self.device), x[:, -2], x[:, -1], values
 
     def _whitened(self, model_e: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Whitened residuals (b, repeats, pixels) and the square roots of the weights."""
@@ -367,6 +374,11 @@ class JoinedFit(ModesFit):
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
         return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
+
+    def chi2(self, x: torch.Tensor) -> float:
+        """Return χ² of all images."""
+        parts = enumerate(self.parts)
+        return sum(float(part.reduced_chi2(self.part(x, n))[0]) * part.freedom for n, part in parts)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Half of χ² plus that of the prior, (1,)."""

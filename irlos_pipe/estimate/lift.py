@@ -24,8 +24,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once, process_map
 from irlos_pipe.numerics.solver import CheapGradientProblem, Solution, joined, mixed, solve

@@ -6,7 +6,6 @@ squares come first, as their curvature hardly changes. Only frames that are not 
 of their own.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -57,12 +56,14 @@ class Estimates:
     frames_nm: np.ndarray  # (frames, modes), the same of every frame; NaN where its fit failed
 
 
-class Scheme(ABC):
-    """Which images of a cube are fitted, and how many coefficient vectors there are."""
+class Scheme:
+    """Which images of a cube are fitted, by how many vectors: all, brought to the same flux, by one."""
 
-    @abstractmethod
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
         """Images (batch, repeats, rows, columns) [e-], and their variance, which broadcasts to them."""
+        images, flux = frames.images_e, frames.flux_e
+        variance = frames.noise.variance_e2(frames.mean_e)
+        return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
 
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
         """PSF model for `settings` with the modes `nolls` on a `device`, as precise as the images need."""
@@ -126,15 +127,6 @@ class EveryFrame(Scheme):
         return Estimates(values, values[0, modes].numpy(), frames_nm)
 
 
-class AllFrames(Scheme):
-    """All frames, brought to the same flux, by one vector."""
-
-    def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        images, flux = frames.images_e, frames.flux_e
-        variance = frames.noise.variance_e2(frames.mean_e)
-        return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
-
-
 def start_at_centroids(
     frames: Frames, problem: ImageFit, start_nm: torch.Tensor | np.ndarray | None = None
 ) -> torch.Tensor:
@@ -173,8 +165,8 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
     return Estimates(x, total.numpy(), (total + frames.responses(gain)).numpy())
 
 
-MEAN_IMAGE, EVERY_FRAME, ALL_FRAMES = MeanImage(), EveryFrame(), AllFrames()
-SCHEMES: dict[Fits, Scheme] = {"mean image": MEAN_IMAGE, "every frame": EVERY_FRAME, "all frames": ALL_FRAMES}
+MEAN_IMAGE, EVERY_FRAME = MeanImage(), EveryFrame()
+SCHEMES: dict[Fits, Scheme] = {"mean image": MEAN_IMAGE, "every frame": EVERY_FRAME, "all frames": Scheme()}
 
 
 def scheme_of(options: CalibrationOptions) -> Scheme:
@@ -271,42 +263,25 @@ class CubeFit:
         solution = self._solve(problem, start, self.report)
         alone = near is None and self.start_nm is None
         if alone and METHODS[self.options.method].effects and not self._is_plausible(problem, solution):
-            solution = better(solution, self._solve(problem, self._second_start(problem)))
+            solution = better(solution, self._solve(problem, self.starts(problem)[1]))
             solution = self._by_whole_waves(problem, solution)
         return problem, solution
 
     def starts(self, problem: ImageFit) -> list[torch.Tensor]:
         """Return where a fit that knows nothing may begin, and one with the low modes of single frames."""
-        return [scheme_of(self.options).start(self.frames, problem), self._second_start(problem)]
-
-    def released(self, effects: Sequence[Effect], held: Fit) -> tuple[ImageFit, torch.Tensor]:
-        """Return the problem with these effects, and where a fit with some of them, `held`, is in it.
-
-        Those that are free there are so here as well. The fit may have more modes.
-        """
-        problem = self.problem(effects)
-        old, new = held[0].layout, problem.layout
-        found = held[1].values[0]
-        values = new.start(problem.images.double().mean(1).cpu())
-        values[0, new.modes], values[0, -2:] = found[: len(new.nolls)], found[-2:]
-        pieces = held[0].model.effects.split(found[old.effect_values])
-        starts = problem.model.effects.split(values[0, new.effect_values])
-        joined = [pieces[one] if len(pieces.get(one, ())) else start for one, start in starts.items()]
-        values[0, new.effect_values] = torch.as_tensor(np.concatenate([np.empty(0), *joined]))
-        return problem, values
+        nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
+        model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
+        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
+        return [scheme_of(self.options).start(cube, problem), start_at_centroids(cube, problem, median_nm)]
 
     def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
         """The solution, or better ones with parts of the pupil whole waves nearer or further."""
-        while not self._is_plausible(problem, solution):
-            starts = a_wave_off(problem, solution.values[:1])
-            if not starts:
-                break
-            nearest = min(starts, key=lambda one: float(problem.objective(one, FIRST)))
-            found = better(solution, self._solve(problem, nearest))
-            if found is solution:
-                break
-            solution = found
-        return solution
+        starts = a_wave_off(problem, solution.values[:1])
+        if not starts or self._is_plausible(problem, solution):
+            return solution
+        nearest = min(starts, key=lambda one: float(problem.objective(one, FIRST)))
+        found = better(solution, self._solve(problem, nearest))
+        return solution if found is solution else self._by_whole_waves(problem, found)
 
     def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
         """Whether the first solution is converged, with a nominal χ²/ν."""
@@ -322,13 +297,6 @@ class CubeFit:
         variance = masked_variance(variance, self.frames.good)
         data = (one.flatten(-2).to(self.psf.device) for one in (images, variance))
         return ImageFit(model, layout, *data, loss=self.options.loss_function)
-
-    def _second_start(self, problem: ImageFit) -> torch.Tensor:
-        """The start with the low modes of single frames."""
-        nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
-        model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
-        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
-        return start_at_centroids(cube, problem, median_nm)
 
     def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report = silent) -> Solution:
         limit = self.options.max_iterations
@@ -346,7 +314,7 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, max_iterations: int) -> 
     """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
 
     The variables are scaled by the curvature at the `start` (batch, parameters), so that nm, electrons and
-    variances are of one size.
+    variances are of one size. Whether it has converged is judged as of other fits, at a last step of these.
     """
     everyone = torch.arange(len(start))
     _, _, hessian = problem.normal_equations(start, everyone)
@@ -368,11 +336,5 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, max_iterations: int) -> 
         return total
 
     optimiser.step(closure)
-    x = (start + scale * u.detach()).clamp(problem.lower, problem.upper)
-    evaluations = optimiser.state[u]["n_iter"]
-    value, gradient, hessian = problem.normal_equations(x, everyone)
-    small = (gradient.abs() * scale).amax(1) < 10 * GRADIENT_TOLERANCE * (2 * value).clamp_min(1).sqrt()
-    finite = torch.isfinite(value)
-    outcome = zip(small, finite, strict=True)
-    status = [CONVERGED if s and f else MAX_ITERATIONS if f else INVALID for s, f in outcome]
-    return Solution(x, scaled_inverse(hessian), status, torch.full((len(start),), evaluations), value)
+    ended = solve(problem, start + scale * u.detach(), max_iterations=1)
+    return replace(ended, iterations=torch.full((len(start),), optimiser.state[u]["n_iter"]))

@@ -178,7 +178,6 @@ def choose(misfit: np.ndarray) -> Choice:
 
 LIMITS = ((1e-2, 1e-3, 1e-3), (1e4, 3.0, 1e3))
 SMALL_PART = 0.1  # part of C below which an exponential has vanished in the plateau
-CURVATURE_STEP = 1e-3  # step of the logarithm of a parameter over which curvature is differentiated
 
 
 @dataclass(frozen=True)
@@ -267,17 +266,15 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
         x_scale=0.1,
     )
 
-    def log_variance(x: np.ndarray) -> np.ndarray:
-        return np.log(_law(x, nolls) ** 2 + noise2)
-
     # Fisher information of the logarithms of A, B, C: ``ν/2 Σ ∂ln v ∂ln vᵀ``, (3, 3)
-    steps = CURVATURE_STEP * np.eye(3)
-    slopes = np.array([log_variance(fit.x + step) - log_variance(fit.x - step) for step in steps])
-    slopes /= 2 * CURVATURE_STEP
+    a_nm, decay, plateau_nm = np.exp(fit.x)
+    std = _law(fit.x, nolls)
+    falling = std - plateau_nm
+    slopes = np.stack([falling, -decay * (nolls - 2) * falling, np.full(len(nolls), plateau_nm)])
+    slopes *= 2 * std / (std**2 + noise2)
     covariance = np.linalg.pinv(scatter.draws / 2 * slopes @ slopes.T)
     # of one mode's deviance 1.27 for one draw, 1 for many; from ``E ln χ²_ν``
     expected = scatter.draws * (np.log(scatter.draws / 2) - digamma(scatter.draws / 2)) * (len(nolls) - 3)
-    a_nm, decay, plateau_nm = np.exp(fit.x)
     return ModeLaw(a_nm, decay, plateau_nm, covariance, float(np.sum(fit.fun**2) / expected))
 
 

@@ -16,7 +16,7 @@ Without a tail A falls to what the noise allows, and the modes beyond the closed
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,19 +122,18 @@ class OpenFit(CheapGradientProblem, ImageFit):
 
 def open_basis(
     closed: ImageFit,
-    values: torch.Tensor,
+    near: tuple[ImageFit, Solution],
     *,
-    beyond_nm: Mapping[int, float] | None = None,
     law: TailLaw | None = None,
     max_iterations: int,
     settle: bool = True,
 ) -> Opened | None:
     """Fit all modes that the window shows, or return None where it shows no more or no more can be fitted.
 
-    The fit starts where the mean image by modes from Noll 2 on, `closed`, stands at `values` (1, parameters);
-    the modes beyond begin at `beyond_nm`, Noll index to nm RMS, or at nothing. Their law is fitted from the
-    `law` of a fit near by, or from one of any instrument. Each of the two fits, before and after that of the
-    law, has `max_iterations`; the second is left out unless the fit is to `settle`.
+    Image and effects are those of a problem of the closed basis, `closed`. The fit starts from one `near` by,
+    of some of the modes and effects. The law of the modes beyond is fitted from the `law` of a fit near by,
+    or from one of any instrument. Each of the two fits, before and after that of the law, has
+    `max_iterations`; the second is left out unless the fit is to `settle`.
     """
     psf = closed.model.psf
     nolls = range(2, last_noll_of(visible_order(psf.settings)) + 1)
@@ -149,7 +148,7 @@ def open_basis(
     variance_e2 = closed.root_weight.double() ** -2
     law = law or TailLaw(psf.nolls[-1] + 1)
     problem = OpenFit(model, layout, closed.images, variance_e2, loss=closed.loss).with_law(law)
-    start = widened(values, closed.layout, problem.layout, beyond_nm or {})
+    start = near[0].carried(near[1].values[:1], problem)
     found = fitted_from(problem, start, law, max_iterations)
     return finished(found, max_iterations) if settle and found is not None else found
 
@@ -192,19 +191,6 @@ def settled(
         return None
     final = solve(problem, near.values, max_iterations=FINISHING)
     return None if final.status[0] == INVALID else Opened(problem, final, law)
-
-
-def widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:
-    """Return parameters in another layout, (batch, parameters).
-
-    Both layouts have the same effects, and the modes of `old` are the first of `new`. Those that it lacks
-    start at `beyond_nm`, Noll index to nm RMS; others are 0. The `values` are (batch, parameters).
-    """
-    x = torch.zeros(len(values), new.size, dtype=torch.float64)
-    x[:, : len(new.nolls)] = torch.tensor([beyond_nm.get(noll, 0.0) for noll in new.nolls])
-    x[:, : len(old.nolls)] = values[:, old.modes]
-    x[:, len(new.nolls) :] = values[:, len(old.nolls) :]
-    return x
 
 
 # Of ln A [nm] and p before anything is known: wide, they only close the law where there is no tail at all.

@@ -31,7 +31,7 @@ import torch
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
 from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit, chi2_nu_of
-from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, finished, fitted_from, settled, widened
+from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, finished, fitted_from, settled
 from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.solver import INVALID, Solution, solve
 
@@ -97,8 +97,8 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
         return opened
     rough = problem.to(ROUGHLY)
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))
-    begun, _ = task.released(problem.model.effects.effects, closed)  # the closed basis may hold some of them
-    starts = [widened(x, begun.layout, problem.layout, {}) for x in task.starts(begun)]
+    begun = task.problem(problem.model.effects.effects)  # the closed basis may hold some of them
+    starts = [begun.carried(x, problem) for x in task.starts(begun)]
     best = search.best_from(starts, values)
     if best is None or float(best.objective[0]) >= float(opened.solution.objective[0]):
         return opened

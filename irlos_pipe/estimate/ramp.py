@@ -68,7 +68,8 @@ def summarise(
     introduced, estimated = introduced_nm[good], estimated_nm[good]
     if len(introduced) < FEWEST or np.ptp(introduced) == 0:
         raise ValueError(TOO_FEW)
-    (slope, offset), slope_sigma = _line(introduced, estimated)
+    columns = np.stack([introduced, np.ones_like(introduced)], axis=1)
+    (slope, offset), (slope_sigma, _) = _least_squares(columns, estimated)
     residual = estimated - slope * introduced - offset
     offsets = np.unique(introduced)
     lever = 1 + introduced.mean() ** 2 / introduced.var()
@@ -76,9 +77,9 @@ def summarise(
     steps, errors = _steps(introduced, estimated, direction[good] / 2, part[good])
     return RampSummary(
         freedom=len(introduced) - 2,
-        slope=slope,
-        slope_sigma=slope_sigma,
-        offset_nm=offset,
+        slope=float(slope),
+        slope_sigma=float(slope_sigma),
+        offset_nm=float(offset),
         offset_sigma_nm=float(np.sqrt(np.sum(residual**2) / (len(residual) - 2) * lever / len(offsets))),
         rms_nm=_rms(estimated - introduced),
         residual_rms_nm=_rms(residual),
@@ -108,14 +109,6 @@ def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) ->
         median_nm=np.array([np.median(estimated)]),
         scatter_nm=np.array([_half_width(estimated)]),
     )
-
-
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:
-    """Slope and offset, and the slope's standard error from the residuals."""
-    slope, offset = np.polyfit(x, y, 1)
-    freedom = max(len(x) - 2, 1)
-    sigma = np.sqrt(np.sum((y - slope * x - offset) ** 2) / freedom / np.sum((x - x.mean()) ** 2))
-    return (float(slope), float(offset)), float(sigma)
 
 
 def _steps(

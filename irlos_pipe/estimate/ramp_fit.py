@@ -23,9 +23,9 @@ from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTi
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.estimate.calibration_errors import public_errors
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, ImageFit, Layout
 from irlos_pipe.estimate.lift import LiftResult, image_problem, lift, smooth
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.starts import STEP_NM, evenly, scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
@@ -194,26 +194,26 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     """Fit the free effect parameters of a problem's model to all its images together.
 
     The `problem` has one parameter vector per image, which starts at `x` (images, parameters); its effects
-    have free parameters, which start at `problem.held`.
+    have free parameters.
     """
     parameters = problem.model.effects.parameters
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)
     mean = torch.tensor([p.prior_mean for p in parameters], dtype=torch.float64)
     precision = torch.tensor([p.prior_sigma for p in parameters], dtype=torch.float64) ** -2
-    values, before, lowest = problem.held, math.inf, math.inf
+    values, before, lowest = problem.model.effects.starts, math.inf, math.inf
     status = MAX_ITERATIONS
-    x = kept = _own_parameters(problem, x)
+    x = kept = _own_parameters(problem, x, values)
     for _ in range(OUTER_ITERATIONS):
-        chi2, steps, *reduced = _linearised(problem, x)
+        chi2, steps, *reduced = _linearised(problem, x, values)
         if not chi2 <= lowest * (1 + ROUNDING):  # the images have not followed by a step
-            x = _own_parameters(problem, kept)
-            chi2, steps, *reduced = _linearised(problem, x)
+            x = _own_parameters(problem, kept, values)
+            chi2, steps, *reduced = _linearised(problem, x, values)
         gradient = reduced[0] + precision * (values - mean)
         covariance = torch.linalg.inv(reduced[1] + torch.diag(precision))
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])
         step = float(((trial - values).abs() / torch.diagonal(covariance).sqrt()).max())
         kept, x, lowest = x, x + steps @ torch.cat([values - trial, values.new_ones(1)]), chi2
-        values, problem = trial, problem.holding(trial)
+        values = trial
         # what further steps will add up to, if they go on to shrink as the last one did; else the last one
         ahead = step**2 / (before - step) if step < before < math.inf else step
         if ahead < STEP_SIGMA:
@@ -223,33 +223,34 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     return SharedFit(values, covariance, x, status)
 
 
-def _own_parameters(problem: ImageFit, x: torch.Tensor) -> torch.Tensor:
-    """Per-image parameters where the shared ones are held, from a table of images if there can be one."""
+def _own_parameters(problem: ImageFit, x: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+    """Per-image parameters, the shared ones held at `values`, from a table of images if there can be one."""
     model, modes = problem.model, problem.layout.modes
-    held = tabulated(ImageModel(model.psf, model.effects.held(problem.held)), x[:, modes])
-    alone = problem.with_model(held).holding(NOTHING).with_tolerance(ON_THE_WAY)
+    held = tabulated(ImageModel(model.psf, model.effects.held(values)), x[:, modes])
+    alone = problem.with_model(held).with_tolerance(ON_THE_WAY)
     found = solve(alone, x, max_iterations=20).values
     return torch.where(torch.isfinite(found), found, x)
 
 
-def _linearised(problem: ImageFit, x: torch.Tensor):
+def _linearised(problem: ImageFit, x: torch.Tensor, values: torch.Tensor):
     """χ², steps of the per-image parameters, and gradient and information of the shared ones without these.
 
     The steps (images, parameters, shared + 1) are those per unit by which a shared parameter falls and, last,
     those while all stay. Gradient and information are in units of the misfit, χ²/ν where it is above 1.
     """
-    gradient = torch.zeros(len(problem.held), dtype=torch.float64)
+    gradient = torch.zeros_like(values)
     information = torch.zeros(len(gradient), len(gradient), dtype=torch.float64)
     chi2, own, steps = 0.0, problem.layout.size, []
     modes = len(problem.layout.nolls)
     order = [*range(modes), -2, -1, *range(modes, modes + len(gradient))]  # the shared ones last
     size = at_once(FRAMES_PER_CHUNK, problem.device)
     for part, which in zip(x.split(size), torch.arange(len(x)).split(size), strict=True):
-        image, columns = problem.predict_and_all_derivatives(part)
+        modes_nm = part[:, problem.layout.modes].to(problem.device)
+        image, columns = problem.model.predict_and_jacobian(modes_nm, part[:, -2], part[:, -1], values)
         numbers = which.to(problem.images.device)
         root = problem.root_weight[numbers, 0].double()
-        residual = (problem.images[numbers, 0].double() - image) * root
-        columns = columns[:, order].double() * root[:, None]
+        residual = (problem.images[numbers, 0].double() - image.flatten(1)) * root
+        columns = columns[:, order].flatten(2).double() * root[:, None]
         force, normal = (columns @ residual[..., None]).cpu(), (columns @ columns.mT).cpu()
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which])
         right = torch.cat([normal[:, :own, own:], force[:, :own]], dim=2)

@@ -175,8 +175,22 @@ def null_model(problem: ImageFit, x: torch.Tensor) -> NullModel:
     image, columns = problem.predict_and_jacobian(x)
     root = problem.root_weight[0].double().square().mean(0).sqrt().cpu()
     residual = (problem.images[0].double().mean(0) - image[0]).cpu() * root
-    basis = torch.linalg.qr((columns[0].cpu().double() * root).mT)[0]
+    basis, _ = orthonormal(columns[0].cpu().double() * root)
     return NullModel(residual, root, basis, basis.mT @ residual)
+
+
+def orthonormal(
+    columns: torch.Tensor, precision: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return what whitened derivatives (parameters, pixels) span, with rows of priors, orthonormal.
+
+    That is of the pixels, (pixels, parameters), and of the priors, of a `precision` (parameters,), if any.
+    """
+    none = columns.new_zeros(len(columns))
+    design = torch.cat([columns.mT, torch.diag(none if precision is None else precision.sqrt())])
+    size = design.norm(dim=0)  # none of a direction at no distance
+    whole = torch.linalg.qr(design / size.clamp_min(1e-300))[0] * (size > 0)
+    return whole[: columns.shape[1]], whole[columns.shape[1] :]
 
 
 # -- copies of the star ----------------------------------------------------------------------------
@@ -312,16 +326,14 @@ def uneven(frames: Frames, problem: ImageFit, solution: Solution) -> UnevenResid
     found = UnevenResidual(halo.band, halo.law, halo.seeing_arcsec)
     frozen = frozen_effects(effects, x[0, problem.layout.effect_values])
     left = null.project(derivatives(problem, x, frozen, found).mT * null.root[:, None])
-    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
-    deviations = torch.where(null.root > 0, (images * (flux.mean() / flux) - mean) * null.root, 0.0)
-    inverse = torch.linalg.inv(torch.as_tensor(covariance_of_mean((deviations @ left).numpy())))
+    series = frames.responses((left * null.root[:, None]).mT)
+    inverse = torch.linalg.inv(torch.as_tensor(covariance_of_mean(series.numpy())))
     score = left.mT @ null.residual
     by_chance = len(score) + BY_CHANCE * np.sqrt(2 * len(score))
     return found if float(score @ inverse @ score) > by_chance else None
 
 
 SIGNIFICANT = 4.0  # standard errors from which an amplitude counts
-LEAST_EFFECT = 1e-100  # effect of a parameter on the image, instead of none: avoids division by zero
 MIRROR = Placement(mirrored=True)
 
 
@@ -342,11 +354,6 @@ class Mirrored:
         """Amplitude above which the images are mirrored: nearer to 1, and no chance."""
         return max(0.5, SIGNIFICANT * self.sigma)
 
-    @property
-    def seen(self) -> bool:
-        """Whether the images are mirrored."""
-        return self.tells and self.amplitude > self.limit
-
 
 def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrored | None:
     """Return how much of the mirrored pupil the mean image shows; None where nothing determines it.
@@ -362,8 +369,9 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
     other = problem.with_model(ImageModel(path, problem.model.effects.effects))
     difference = other.predict(values)[0].cpu() - image[0].cpu()
     root = frames.root
-    columns = (jacobian[0].double().cpu() * root).mT
-    along = _not_followed(difference * root, columns, problem.prior_precision[0].double().cpu())
+    basis, _ = orthonormal(jacobian[0].double().cpu() * root, problem.prior_precision[0].double().cpu())
+    along = difference * root
+    along = along - basis @ (basis.mT @ along)  # what the parameters do not follow
     length = float(along @ along)
     if not length > 0:
         return None
@@ -372,15 +380,3 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
     whole = torch.where(root > 0, (frames.mean_e.flatten() - image[0].cpu()) * root, 0.0)
     independent = len(amplitudes) / float(autocorrelation_time(amplitudes[:, None])[0])
     return Mirrored(float(whole @ along / length), float(amplitudes.std(ddof=1) / np.sqrt(independent)))
-
-
-def _not_followed(change: torch.Tensor, columns: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
-    """What is left of a `change` of the image (pixels,) when the parameters have followed it.
-
-    Some parameters may have no effect where the fit ended: the direction of a stop at no distance.
-    """
-    both = torch.cat([columns, torch.diag(precision.sqrt())])
-    scale = both.norm(dim=0).clamp_min(LEAST_EFFECT)
-    sought = torch.cat([change, torch.zeros(len(precision), dtype=torch.float64)])
-    steps = torch.linalg.lstsq(both / scale, sought[:, None], driver="gelsd").solution[:, 0]
-    return change - columns @ (steps / scale)

@@ -11,8 +11,8 @@ import torch
 
 from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL, ONE_SIGMA
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.lift import REACH_NM, NearModel, in_pieces, lift, near
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once, ordered_map, process_map

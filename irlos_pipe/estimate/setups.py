@@ -111,11 +111,6 @@ class SetupsFit(JoinedFit):
             other.prior_precision[:, column] = (accuracy * nm) ** -2
         return other
 
-    def chi2(self, x: torch.Tensor) -> float:
-        """Return χ² of all images."""
-        parts = enumerate(self.parts)
-        return sum(float(part.reduced_chi2(self.part(x, n))[0]) * part.freedom for n, part in parts)
-
     def twin(
         self, setups: Sequence[Setup], solution: Solution, law: NcpaLaw | None
     ) -> tuple[TwinCheck, Solution]:
@@ -222,19 +217,19 @@ def _from_none(
 ) -> Solution:
     """The fit from no aberrations; and where it misfits, the better of that and one from the first set-up."""
     starts = [start_at_centroids(s.frames, p) for s, p in zip(setups, problem.parts, strict=True)]
-    solution = solve(
-        problem, problem.whole([start[0] for start in starts])[None], max_iterations=options.max_iterations
-    )
+
+    def fitted() -> Solution:
+        whole = problem.whole([start[0] for start in starts])[None]
+        return solve(problem, whole, max_iterations=options.max_iterations)
+
+    solution = fitted()
     if problem.chi2(solution.values) <= MISFIT * problem.freedom:
         return solution
     alone = calibrate(setups[0].frames, setups[0].settings, options, setups[0].own, device=device)
     for number, start in enumerate(starts):
         known = slice(POINTING if number else 0, len(alone.nolls))
         start[:, known] = torch.as_tensor(alone.fitted_modes_nm[known])
-    other = solve(
-        problem, problem.whole([start[0] for start in starts])[None], max_iterations=options.max_iterations
-    )
-    return min(solution, other, key=lambda one: float(one.objective[0]))
+    return min(solution, fitted(), key=lambda one: float(one.objective[0]))
 
 
 def _likeliest_accuracy(

@@ -25,10 +25,9 @@ from irlos_pipe.effects import Effect, EffectSet
 from irlos_pipe.effects.base import AT_REST, direction_among
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import PupilSteps
-from irlos_pipe.estimate.calibration_options import NcpaPrior, TwinCheck
+from irlos_pipe.estimate.calibration_options import LiftOptions, NcpaPrior, TwinCheck
 from irlos_pipe.estimate.image_fit import ImageFit, ModesFit
 from irlos_pipe.estimate.lift import lift
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once, joined_map
 from irlos_pipe.numerics.solver import INVALID, Solution, solve

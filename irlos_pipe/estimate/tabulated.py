@@ -14,9 +14,9 @@ import torch
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.image_fit import Layout
 from irlos_pipe.estimate.lift import PhotonFit, lift
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.starts import SCAN_NM
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.solver import solve

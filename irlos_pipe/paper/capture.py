@@ -15,8 +15,7 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects import expected
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.calibration_options import METHODS
-from irlos_pipe.estimate.lift_options import LiftOptions
+from irlos_pipe.estimate.calibration_options import METHODS, LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper import experiment as ex

@@ -18,8 +18,8 @@ from scipy import stats
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.lift import LiftResult
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common import ramps

@@ -13,7 +13,6 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS, REPORTED_NOLLS, TIP_TILT
-from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.correction import predict_correction
 from irlos_pipe.paper import experiment as ex
@@ -213,9 +212,7 @@ def predicted_strehl(cube: ObservedCube, calibration: Calibration) -> float:
     effects = list(knowledge_of(cube, calibration).effects.values())
     gain = np.isin(calibration.nolls, REPORTED_NOLLS).astype(float)
     modes = calibration.nolls, calibration.fitted_modes_nm, calibration.zernike_nm
-    return predict_correction(
-        cube.settings, *modes, gain, lambda model: fixed_optics(effects, model.grids)
-    ).strehl_after
+    return predict_correction(cube.settings, *modes, gain, effects).strehl_after
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:

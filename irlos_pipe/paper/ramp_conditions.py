@@ -18,7 +18,7 @@ from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.colour import AtmosphericDispersion
 from irlos_pipe.effects.wavefront import ChromaticNcpa, FilterNcpa
-from irlos_pipe.estimate.lift_options import LiftOptions
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper import experiment as ex

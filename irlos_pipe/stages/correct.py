@@ -289,7 +289,6 @@ def _predict(
     ctx: StageContext[Config], recording: Recording, nolls: list[int], zernike_nm: np.ndarray
 ) -> tuple[Prediction, list[StrehlPart]]:
     """Images before and after the correction, and what every part of the model takes of the Strehl ratio."""
-    from irlos_pipe.effects import fixed_optics
     from irlos_pipe.estimate.correction import predict_correction, strehl_budget
     from irlos_pipe.stages.model.effects import calibrated_effects, psf_settings, seeing_arcsec
 
@@ -305,7 +304,7 @@ def _predict(
         fitted_nm,
         zernike_nm,
         gain,
-        lambda model: fixed_optics(list(effects.values()), model.grids),
+        list(effects.values()),
     )
     parts = _parts(nolls, prediction.modes_before_nm, ctx.config.highest_noll)
     return prediction, strehl_budget(settings, nolls, parts, effects)

@@ -213,7 +213,7 @@ def _bright(
     ctx: StageContext[Config], ramp: Ramp, chosen: torch.Tensor, calibrated: bool, nolls: tuple[int, ...]
 ) -> Configuration:
     """The frames as they are, whose model gives the noise-free signal and the start."""
-    from irlos_pipe.estimate.lift_options import LiftOptions
+    from irlos_pipe.estimate.calibration_options import LiftOptions
     from irlos_pipe.estimate.ramp_fit import fit_ramp
     from irlos_pipe.estimate.sensitivity import Configuration
     from irlos_pipe.stages.lift.input import calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start

@@ -42,9 +42,8 @@ from irlos_pipe.effects.lenslet_images import LensletImages
 from irlos_pipe.effects.seeing_halo import AoCutoff
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions, LiftOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.defocus import defocus_nm_per_um, shaped_modes

@@ -13,9 +13,9 @@ from helpers.optics_cases import J_AND_H, halo_and_jitter, ncpa_nm, settings, ve
 from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.lift import REACH_NM, PhotonFit, image_problem, lift, near
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm

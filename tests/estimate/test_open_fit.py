@@ -220,12 +220,12 @@ def ended(problem: OpenFit, x: torch.Tensor) -> Opened:
     return Opened(problem, SimpleNamespace(values=x, objective=objective, status=["converged"]), LAW)
 
 
-def task(*starts: torch.Tensor) -> SimpleNamespace:
+def task(problem: OpenFit, *starts: torch.Tensor) -> SimpleNamespace:
     """What the search asks of a cube."""
     return SimpleNamespace(
         options=SimpleNamespace(max_iterations=60),
         starts=lambda problem: list(starts),
-        released=lambda effects, closed: closed,
+        problem=lambda effects: problem,
     )
 
 
@@ -238,7 +238,7 @@ def closed(problem: OpenFit, chi2_nu: float) -> tuple[SimpleNamespace, SimpleNam
 def test_a_wrong_minimum_gives_way_to_the_right_one(problem):
     wrong = place()
     wrong[0, 5:9] += 150.0
-    found = likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, wrong), 1.4)
+    found = likelier_minimum(task(problem, place()), closed(problem, 1e6), ended(problem, wrong), 1.4)
     assert float(found.problem.reduced_chi2(found.solution.values)[0]) < 1.4
     assert (found.solution.values - place())[0, :27].norm() < 5
 
@@ -274,7 +274,7 @@ def opened_from(direction_rad: float) -> Opened:
     frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
     task = CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR))
     closed = task.fit([FixedEffect(STOP, [DISTANCE_M, direction_rad, 0.0], FREE)])
-    opened = open_basis(*closed[:1], closed[1].values, max_iterations=30)
+    opened = open_basis(closed[0], closed, max_iterations=30)
     assert opened is not None
     return opened
 

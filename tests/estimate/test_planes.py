@@ -11,9 +11,8 @@ from helpers.reference_psf import reference
 
 from irlos_pipe.effects import TipTiltJitter
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions, LiftOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.setups import Setup, SetupsFit, _part, calibrate_setups
 from irlos_pipe.optics.psf import PsfModel

@@ -29,11 +29,10 @@ from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.companion import Ghost
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions, LiftOptions
 from irlos_pipe.estimate.causes import Asked, causes_of_misfit
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.score_test import copy_gains
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm

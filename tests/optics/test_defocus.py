@@ -14,8 +14,8 @@ from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.wavefront import NcpaDrift
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.lift import lift
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.tabulated import TabulatedModel, tabulated
 from irlos_pipe.optics.defocus import defocus_nm_per_um, defocus_series
 from irlos_pipe.optics.focus_table import FocusTable, Reach

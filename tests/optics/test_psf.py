@@ -27,8 +27,8 @@ from scipy.special import j1
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.lift import lift
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import FRAME_PUPIL_SAMPLES
 

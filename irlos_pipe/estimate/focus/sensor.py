@@ -103,10 +103,6 @@ class Focus:
             for turn in _turns(self.window)
         ]
 
-    def measure(self, image_e: np.ndarray) -> tuple[float, float, bool]:
-        """Return defocus, its error [nm RMS], and whether they are to be used; see `measurement`."""
-        return self.solved(image_e)[0][:3]
-
     def measurement(self, image_e: np.ndarray, reads: int = 1) -> Measurement:
         """Measure one image, the sum of some `reads`, whose read noise adds.
 

@@ -12,9 +12,9 @@ from numpy.polynomial import chebyshev
 from irlos_pipe.control.linear_theory import Drift
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.lenslets import modes_of_centroids_nm
 from irlos_pipe.estimate.lift import lift
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import ramp_effects
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.tabulated import tabulated

@@ -13,9 +13,9 @@ from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate import ramp_fit
 from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.estimate.calibration_options import LiftOptions
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.lift import LiftResult, lift
-from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.numerics.loss import LossName

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.effects.wavefront import ChromaticNcpa, FilterNcpa
-from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
+from irlos_pipe.estimate.calibration_options import LiftOptions, NoiseSource
 from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
