@@ -1,18 +1,20 @@
 """Errors of a calibration: from the scatter of the frames, and what the model misfits.
 
-A closed loop leaves less of slow changes than of fast ones, tomography more: where the slowest changes of
-Noll 4–30 together have another power than the mean one beyond chance, variances change by as much.
+A closed loop leaves less of slow changes than of fast ones, tomography more. Only the slow ones average into
+the mean: where the slowest changes of Noll 4–30 together have another power than the scatter and its
+autocorrelation tell, beyond chance, variances change by as much.
 
 The noise of a dark is the same in all frames, which therefore do not show it: with its variance v and the
 gain ``G = C Jᵀ W`` of the fit, ``v G Gᵀ`` is added.
 
-Of a mean image the misfit beyond the nominal χ² and chance is an error m of the model in proportion to the
-light, with a correlation S over `CORRELATED` λ/D and a size s that leaves just this misfit:
+Of a mean image what the model misfits beyond noise is an error m of the model in proportion to the light,
+with a correlation S over `CORRELATED` λ/D. With the smoothed light L on the diagonal, ``R = 1 − J G`` and n,
+the variance by frames of what is left of the mean image, scaled to the nominal χ², what is left, r, has
 
-    ⟨m mᵀ⟩ = s² L S L,    s² tr(Rᵀ R L S L) = (χ²/ν − nominal) ν,    cov = scatter + s² G L S L Gᵀ
+    ⟨m mᵀ⟩ = s² L S L,    ⟨r²⟩ = n + s² diag(R L S L Rᵀ),    cov = scatter + s² G L S L Gᵀ
 
-with the smoothed light L on the diagonal, the gain ``G = C Jᵀ W`` of the fit and what it leaves whitened,
-``R = W^½ (1 − J G)``. It is no noise that further frames would average out.
+The size s is the likeliest one, as if pixels were independent: those in which such an error stands out tell
+it. It is no noise that further frames would average out.
 
 Too few frames say little of their scatter: their errors are those of the noise model, and
 where they scatter beyond it, as behind an AO system, those of the scatter besides, widened as Student's t
@@ -73,17 +75,16 @@ def errors_of(
 ) -> tuple[np.ndarray, ErrorsFrom]:
     """Return the covariance of the modes [nm²], and where it comes from.
 
-    The estimates of single frames, `frames_nm` (frames, modes), are NaN where a fit failed. χ²/ν of the mean
-    image below its nominal value says nothing; above it errors grow, where single frames are fitted by its
-    root.
+    The estimates of single frames, `frames_nm` (frames, modes), are NaN where a fit failed. Where these are
+    fitted, errors grow by the root of what χ²/ν of the mean image is over its nominal value.
     """
     used = frames_nm[np.isfinite(frames_nm).all(1)]
     if frames.show_scatter and problem.images.shape[:2] != (1, 1):
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
         scatter = slow_part(used[:, len(TIP_TILT) : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
-        of_shared, of_model = _systematic_nm2(frames, problem, solution)
-        return scatter + of_shared + nominal.excess(chi2_nu) * of_model, "frames"
+        of_shared, of_model = _systematic_nm2(frames, problem, solution, nominal)
+        return scatter + of_shared + of_model, "frames"
     covariance = covariance_from_noise(problem, solution)
     if not _scatter_beyond(used, covariance):
         return covariance, "noise"
@@ -91,49 +92,58 @@ def errors_of(
 
 
 def slow_part(series: np.ndarray) -> float:
-    """Return the power of the slowest changes of a `series` (frames, modes) over that of the mean one.
+    """Return the power of the slowest changes of a `series` (frames, modes) over what its scatter tells.
 
-    It is what averages into the mean, which a closed loop leaves less of than of faster changes. One where
-    it is so by chance.
+    That is N² times the variance of the mean of N frames, `covariance_of_mean`. One where it is so by chance.
     """
-    centred = series - series.mean(axis=0)
-    power = np.abs(np.fft.rfft(centred, axis=0)) ** 2
-    variance = np.square(centred).sum(axis=0)
-    if not variance.any():
+    power = np.abs(np.fft.rfft(series - series.mean(axis=0), axis=0)[1 : SLOWEST + 1]) ** 2
+    told = covariance_of_mean(series)
+    if not (np.trace(told) > 0 and power.any()):
         return 1.0
-    slow = float(power[1 : SLOWEST + 1].sum() / (SLOWEST * variance.sum()))
-    by_chance = np.sqrt(np.square(variance).sum() / SLOWEST) / variance.sum()
-    return slow if slow > 0 and abs(np.log(slow)) > DISTINCT * by_chance else 1.0
+    slow = float(power.sum() / (SLOWEST * len(series) ** 2 * np.trace(told)))
+    return slow if abs(np.log(slow)) * np.trace(told) > DISTINCT * np.sqrt((told**2).sum() / SLOWEST) else 1.0
 
 
-def _systematic_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+def _systematic_nm2(
+    frames: Frames, problem: ImageFit, solution: Solution, nominal: NominalChi2
+) -> tuple[np.ndarray, np.ndarray]:
     """Covariances of the modes [nm²] by what all frames share, (modes, modes) each.
 
-    These are the noise of the dark, and an error of the model that leaves a χ²/ν of one.
+    These are the noise of the dark, and the error of the model.
     """
     x, settings = solution.values[:1], problem.model.psf.settings
-    _, jacobian = problem.predict_and_jacobian(x)
-    jacobian, covariance = jacobian[0].double().cpu(), solution.covariance[0]
-    weight = problem.root_weight[0].double().mean(0).cpu() ** 2
+    model_e, jacobian = (one[0].double().cpu() for one in problem.predict_and_jacobian(x))
+    covariance, weight = solution.covariance[0], problem.root_weight[0].double().mean(0).cpu() ** 2
     weighted, gain = jacobian * weight, whole_wavefront(problem, x[0])[1] @ covariance
-    of_noise = gain @ weighted
-    of_shared = frames.noise.shared_e2 * (of_noise @ of_noise.mT).numpy()
-    light = local_mean(frames.mean_e, frames.good.double()).clamp_min(0).flatten() * (weight > 0)
+    of_shared = frames.noise.shared_e2 * (gain @ (weighted @ weighted.mT) @ gain.mT).numpy()
+    seen = weight > 0
+    light = local_mean(frames.mean_e, frames.good.double()).clamp_min(0).flatten() * seen
     across_px = resolution_px(settings.mean_nm * NM, settings.geometry.diameter_m, settings.pixel_scale_mas)
     rows, columns = (
         torch.as_tensor(np.sinc(np.subtract.outer(i, i) / (CORRELATED * across_px)) ** 2)
         for i in map(np.arange, frames.good.shape)
     )
-
-    def alike(shapes: torch.Tensor) -> torch.Tensor:
-        """S times shapes, (m, pixels)."""
-        return (rows @ shapes.reshape(-1, *frames.good.shape) @ columns).flatten(1)
-
     felt = weighted * light
-    within = 2 * covariance - covariance @ (weighted @ jacobian.mT) @ covariance
-    products = felt @ alike(felt).mT
-    left = float((light**2 * weight).sum() - (within * products).sum())
-    return of_shared, (gain @ products @ gain.mT * problem.freedom / left).numpy()
+    alike = (rows @ felt.reshape(-1, *frames.good.shape) @ columns).flatten(1)  # times S
+    products, moved = felt @ alike.mT, covariance @ jacobian
+    left = light**2 - 2 * (moved * alike * light).sum(0) + (moved * (products @ moved)).sum(0)
+    own = torch.where(seen, frames.sample_e - frames.mean_e.flatten(), 0.0)
+    noise = ((own - own @ weighted.mT @ moved) ** 2 * weight).mean(0).reshape(frames.good.shape)
+    noise = local_mean(noise, seen.double().reshape(frames.good.shape)).flatten() / weight
+    noise *= nominal.value * problem.freedom / (noise * frames.root**2)[seen].sum()
+    squares = (frames.mean_e.flatten() - model_e.flatten()) ** 2
+    size = likeliest_size(squares[seen], noise[seen], left[seen].clamp_min(0))
+    return of_shared, (size * gain @ products @ gain.mT).numpy()
+
+
+def likeliest_size(squares: torch.Tensor, noise: torch.Tensor, shape: torch.Tensor) -> float:
+    """Return the s² of the likeliest variances ``noise + s² shape`` of Gaussian values with these `squares`.
+
+    All are (values,); s² is 0, or from 1e-12 to 1 in steps of 10 %.
+    """
+    sizes = [0.0, *np.geomspace(1e-12, 1.0, 291)]
+    variances = (noise + size * shape for size in sizes)
+    return sizes[int(np.argmin([float((one.log() + squares / one).sum()) for one in variances]))]
 
 
 def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:

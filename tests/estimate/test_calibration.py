@@ -29,9 +29,10 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.seeing_halo import UnevenResidual
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_errors import (
-    NominalChi2,
     errors_of,
     errors_of_mean,
+    likeliest_size,
+    nominal_of,
     public_errors,
     slow_part,
     widening,
@@ -207,6 +208,14 @@ def test_errors_of_what_a_closed_loop_leaves_are_those_of_its_slow_part(white):
     assert np.mean([slow_part(one) == 1.0 for one in white]) > 0.9
 
 
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.8])
+def test_slow_changes_that_the_autocorrelation_tells_are_not_counted_twice(phi):
+    series = [autoregressive(400, phi, 30, seed) for seed in range(100)]
+    quoted = [slow_part(one) * np.diag(covariance_of_mean(one)) for one in series]
+    means = [one.mean(axis=0) for one in series]
+    assert np.sqrt(np.mean(quoted)) == pytest.approx(np.std(means), rel=0.1)
+
+
 # -- errors of many frames -----------------------------------------------------------------------
 
 
@@ -250,15 +259,29 @@ def test_errors_of_the_model_move_the_modes_by_what_is_quoted_for_the_misfit_tha
     values, vectors = np.linalg.eigh(np.sinc(apart) ** 2)
     root = vectors * np.sqrt(values.clip(0))
     light = local_mean(frames.mean_e, frames.good.double()).numpy()
-    drawn = light * (root @ rng.standard_normal((2000, 40, 40)) @ root.T)
+    drawn = 0.01 * light * (root @ rng.standard_normal((2000, 40, 40)) @ root.T)
     jacobian = problem.predict_and_jacobian(solution.values[:1])[1][0].numpy()
     weight = problem.root_weight[0, 0].numpy() ** 2
     steps = drawn.reshape(2000, -1) * weight @ jacobian.T @ solution.covariance[0].numpy()
-    left = drawn.reshape(2000, -1) - steps @ jacobian
-    excess = np.mean((left**2 * weight).sum(1)) / problem.freedom
-    quoted, _ = errors_of(frames, problem, solution, result.frames_nm, 1.0 + excess, NominalChi2(1.0, 0.1))
-    model = np.diag(quoted - covariance_of_mean(result.frames_nm))
-    assert np.sqrt(model) == pytest.approx(steps[:, : len(NOLLS)].std(axis=0), rel=0.08)
+    left = (drawn.reshape(2000, -1) - steps @ jacobian)[:40].reshape(40, 40, 40)
+    quoted, nominal = [], nominal_of(frames, problem, solution.values[:1])
+    for one in torch.as_tensor(left, dtype=torch.float32):
+        seen = replace(frames, images_e=frames.images_e + one)
+        quoted.append(np.diag(errors_of(seen, problem, solution, result.frames_nm, 1.0, nominal)[0]))
+    scatter = slow_part(result.frames_nm[:, 2:29]) * np.diag(covariance_of_mean(result.frames_nm))
+    model = np.mean(quoted, axis=0) - scatter
+    assert np.sqrt(model) == pytest.approx(steps[:, : len(NOLLS)].std(axis=0), rel=0.1)
+
+
+def test_the_likeliest_size_of_an_error_is_the_true_one_and_by_chance_next_to_nothing():
+    """Monte Carlo: 2000 pixels, of which the error reaches a tenth."""
+    rng = np.random.default_rng(4)
+    noise, shape = torch.as_tensor(rng.uniform(1, 3, 2000)), torch.zeros(2000, dtype=torch.float64)
+    shape[:200] = torch.as_tensor(rng.uniform(1, 9, 200))
+    for size in (0.0, 0.5):
+        drawn = rng.standard_normal((30, 2000)) ** 2 * (noise + size * shape).numpy()
+        found = np.mean([likeliest_size(torch.as_tensor(one), noise, shape) for one in drawn])
+        assert found == pytest.approx(size, abs=0.03)
 
 
 # Calibration of frames made by HCIPy (independent code): no model error is shared with the fit.

@@ -43,7 +43,7 @@ from irlos_pipe.stages.model.groups import (
     require_parts,
 )
 
-VERSION = 32
+VERSION = 33
 NEEDS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 CUBES = "cubes"  # group of the arrays of every recording, with `each`
