@@ -4,6 +4,8 @@ Truth: dense matrices, the exact marginal likelihood of a linear Gaussian model,
 that are drawn from the model itself (same code).
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -173,6 +175,41 @@ def test_a_wider_form_begins_on_either_side_of_the_focus_and_a_narrower_one_as_i
     begun = [one.values.tolist() for one in _sides(ghost, len(COMPANION.parameters))]
     assert begun == [[*PLACE, -half_nm, 0.0], [*PLACE, half_nm, 0.0]]
     assert _sides(companion, len(ghost.base.parameters)) == [companion]
+
+
+@pytest.mark.parametrize(
+    ("found", "tried", "best"),
+    [
+        ((40.0, 20.0), ["one"], "one"),  # it keeps more than the other promises
+        ((15.0, 25.0), ["one", "other"], "other"),
+        ((5.0, 8.0), ["one", "other"], None),  # neither is worth it
+    ],
+)
+def test_a_second_candidate_is_fitted_where_the_first_falls_short_of_what_it_promises(
+    monkeypatch, found, tried, best
+):
+    def fit(log_evidence: float, *labels: str) -> SimpleNamespace:
+        return SimpleNamespace(
+            log_evidence=log_evidence,
+            fitted=SimpleNamespace(problem=SimpleNamespace(effects=SimpleNamespace(labels=labels))),
+        )
+
+    names, fitted = ("one", "other"), []
+    odds = dict(zip(names, found, strict=True))
+
+    def joined(task, laplace, score):
+        fitted.append(score.name)
+        return fit(100.0 + odds[score.name], score.name)
+
+    monkeypatch.setattr(Task, "_joined", joined)
+    monkeypatch.setattr(Task, "_in_best_form", lambda task, laplace, label, wider: laplace)
+    scores = [
+        SimpleNamespace(name=one, log_odds=promise, inflation=1.0)
+        for one, promise in zip(names, (30, 22), strict=True)
+    ]
+    chosen = Task(*[None] * 4, lambda count: None, "")._best(fit(100.0), scores)
+    assert fitted == tried
+    assert (None if chosen is None else chosen[0].fitted.problem.effects.labels[0]) == best
 
 
 @pytest.mark.slow
