@@ -125,8 +125,8 @@ def calibrated():
 def test_modes_beyond_the_closed_basis_do_not_bias_the_reported_ones(calibrated):
     fits, errors = calibrated
     assert np.linalg.norm(errors["closed"]) > 5  # the same frames without the open basis
-    # Photons leave 0.3 nm, the discretisation and what the tail's law holds back 0.3 to 0.4: four draws of the
-    # frames 0.50 to 0.69, and processors draw differently.
+    # Photons leave 0.3 nm, the discretisation and what the tail's law holds back 0.3 to 0.4 nm: four draws of
+    # the frames 0.50 to 0.69, and processors draw differently.
     assert np.linalg.norm(errors["open"]) < 1.0
     assert fits["open"].chi2_nu == pytest.approx(1, abs=0.1)
     assert fits["open"].frame_status == ["converged"]
