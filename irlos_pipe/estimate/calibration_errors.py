@@ -130,7 +130,9 @@ def _systematic_nm2(
     own = torch.where(seen, frames.sample_e - frames.mean_e.flatten(), 0.0)
     noise = ((own - own @ weighted.mT @ moved) ** 2 * weight).mean(0).reshape(frames.good.shape)
     noise = local_mean(noise, seen.double().reshape(frames.good.shape)).flatten() / weight
-    noise *= nominal.value * problem.freedom / (noise * frames.root**2)[seen].sum()
+    shared = frames.noise.shared_e2 * frames.root[seen] ** 2  # which the frames do not show
+    shown = max(nominal.value * problem.freedom - float(shared.sum()), 0.0)
+    noise = frames.noise.shared_e2 + noise * shown / (noise * frames.root**2)[seen].sum()
     squares = (frames.mean_e.flatten() - model_e.flatten()) ** 2
     size = likeliest_size(squares[seen], noise[seen], left[seen].clamp_min(0))
     return of_shared, (size * gain @ products @ gain.mT).numpy()
