@@ -140,7 +140,7 @@ def significance_of(optimum: FittedModel, linear: LinearEstimate, trials: int) -
     along = axes.mT @ linear.projection
     if stack.photon_limited:
         return 1.0, gaussian_sigma(float(along @ along), len(along), np.inf, trials)
-    left = linear.used @ axes - optimum.basis @ (linear.inside @ axes)
+    left = optimum.project(linear.used @ axes, linear.inside @ axes)
     held = axes.mT @ linear.gram @ axes - left.mT @ left  # what priors, not the data, keep parameters from
     covariance = optimum.covariance_of(left) + held
     inflation = float(covariance.diagonal().mean())

@@ -222,23 +222,21 @@ class Task:
         """The fit with all effects that are worth it, their odds added to `entered`; and the last scores."""
         most = len(entered) + self.options.most_names * len(self.moments.by_number)
         known: list[Score] = []
-        laplace = self._on_best_sides(laplace)
+        laplace = sided = self._on_best_sides(laplace)
         while True:
-            before = laplace
-            while True:
-                found = self._proposed(laplace, known)
-                best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
-                if best is None:
-                    break
+            found = self._proposed(laplace, known)
+            best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
+            if best is not None:
                 without, laplace = laplace, self._settled(best[0])
                 odds = (laplace.log_evidence - without.log_evidence) / best[1]
                 entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
                 if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                     return laplace, found
             # A better model has smaller errors, which show sides apart.
-            if laplace is before or (turned := self._on_best_sides(laplace)) is laplace:
+            elif laplace is sided or (sided := self._on_best_sides(laplace)) is laplace:
                 return laplace, found
-            laplace = turned
+            else:
+                laplace = sided
 
     # -- fits ------------------------------------------------------------------------------------
 

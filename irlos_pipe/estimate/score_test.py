@@ -59,7 +59,8 @@ class NullModel:
     The `residual` and one over the standard errors, `root`, are (pixels,); the derivatives of the fitted
     parameters, `basis` (pixels, parameters), are orthonormal, with rows of priors left out. `unconverged`
     (parameters,) is what the derivatives, priors included, have in common with the residual: nothing at the
-    very optimum. Of a derivative's power, the parameters may imitate all but `least_seen`.
+    very optimum. Of a derivative's power, the parameters may imitate all but `least_seen`. Products of shapes
+    with the basis, (parameters, m), are handed over as `inside` where they are known: the basis is long.
     """
 
     least_seen = ABSORBED
@@ -69,18 +70,19 @@ class NullModel:
     ):
         self.residual, self.root, self.basis, self.unconverged = residual, root, basis, unconverged
 
-    def project(self, shapes: torch.Tensor) -> torch.Tensor:
+    def project(self, shapes: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
         """What is left of whitened shapes (pixels, m)."""
-        return shapes - self.basis @ (self.basis.mT @ shapes)
+        return shapes - self.basis @ (self.basis.mT @ shapes if inside is None else inside)
 
-    def norm2(self, shapes: torch.Tensor) -> torch.Tensor:
+    def norm2(self, shapes: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
         """Gram matrix of what is left, priors included, (m, m)."""
-        inside = self.basis.mT @ shapes
+        inside = self.basis.mT @ shapes if inside is None else inside
         return shapes.mT @ shapes - inside.mT @ inside
 
-    def projection(self, shapes: torch.Tensor) -> torch.Tensor:
+    def projection(self, shapes: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
         """Scalar products of the residual with what is left of shapes, (m,)."""
-        return shapes.mT @ self.residual - (self.basis.mT @ shapes).mT @ self.unconverged
+        inside = self.basis.mT @ shapes if inside is None else inside
+        return shapes.mT @ self.residual - inside.mT @ self.unconverged
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ class LinearEstimate:
     sizes: np.ndarray  # (parameters,), within the bounds
     gain: float  # predicted fall of χ²
     used: torch.Tensor  # (pixels, m), shapes of the usable parameters
-    inside: torch.Tensor  # (basis, m), their products with the null model's basis
+    inside: torch.Tensor  # (basis, m), see `NullModel`
     gram: torch.Tensor  # (m, m), of what is left of them
     normal: torch.Tensor  # (m, m), the same with the priors
     projection: torch.Tensor  # (m,)
@@ -104,19 +106,15 @@ class LinearEstimate:
     def of(
         cls, null: NullModel, candidate: Effect, shapes: torch.Tensor, inside: torch.Tensor | None = None
     ) -> LinearEstimate:
-        """The estimate of `candidate` jointly with `null`, by whitened derivatives `shapes`, (pixels, m).
-
-        Their products with the basis of `null`, (basis, m), are `inside`, where those are known.
-        """
+        """The estimate of `candidate` jointly with `null`, by whitened derivatives `shapes`, (pixels, m)."""
         inside = null.basis.mT @ shapes if inside is None else inside
-        power, gram = (shapes**2).sum(0), shapes.mT @ shapes - inside.mT @ inside
+        power, gram = (shapes**2).sum(0), null.norm2(shapes, inside)
         left = torch.diagonal(gram)
         seen = left / power.clamp_min(1e-300)
         usable = (power > MEANINGLESS * power.max()) & (seen > null.least_seen)
         sigma = torch.tensor([p.prior_sigma for p in candidate.parameters], dtype=torch.float64)[usable]
         used, inside, gram = shapes[:, usable], inside[:, usable], gram[usable][:, usable]
-        normal = gram + torch.diag(sigma**-2)
-        projection = used.mT @ null.residual - inside.mT @ null.unconverged
+        normal, projection = gram + torch.diag(sigma**-2), null.projection(used, inside)
         start = torch.tensor(candidate.null_values, dtype=torch.float64)
         change = torch.zeros_like(start)
         change[usable] = torch.linalg.solve(normal, projection)
