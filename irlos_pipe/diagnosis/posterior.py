@@ -17,7 +17,9 @@ With H = Jᵀ C⁻¹ J + P at the optimum, P the precisions of the priors, the e
 
     ln Z = −½ χ² − ½ χ²(priors) − ½ ln det H + ½ ln det P − ½ ln det C
 
-(MacKay 1992, Neural Comput. 4, 415). Models are compared at common hyper-parameters.
+(MacKay 1992, Neural Comput. 4, 415). An effect enters by the evidence of two models of which each has the
+hyper-parameters that suit it: what is missing makes the error of the model larger, which hides it. Forms of
+an effect, and candidates before one of them enters, are compared at common ones.
 """
 
 from __future__ import annotations
@@ -298,7 +300,8 @@ class Posterior:
         self, x: torch.Tensor, iterations: int, *, roughly: bool = False, slopes: torch.Tensor | None = None
     ) -> Laplace:
         """The optimum, from the parameters `x`, (1, parameters)."""
-        return Laplace(self, self.descended(x, iterations, roughly=roughly, slopes=slopes)[0], coarse=roughly)
+        x, _, slopes = self.descended(x, iterations, roughly=roughly, slopes=slopes)
+        return Laplace(self, x, coarse=roughly, columns=slopes)
 
     def descended(
         self,
@@ -308,21 +311,23 @@ class Posterior:
         roughly: bool = False,
         held: Sequence[int] = (),
         slopes: torch.Tensor | None = None,
-    ) -> tuple[torch.Tensor, float]:
-        """Parameters and half of χ² and priors there, after so many `iterations` by Levenberg and Marquardt.
+    ) -> tuple[torch.Tensor, float, torch.Tensor | None]:
+        """Parameters, half of χ² and priors there, and derivatives, by Levenberg and Marquardt's method.
 
         An iteration takes the derivatives once, which cost ten images, and goes on with them as long as χ²
         falls as they predict (the chord method). They are rough while far off, or all the way; in the first
-        iteration they are `slopes`, where those are known from near by. Parameters that push against a bound
-        stay there, those `held` where they are.
+        iteration they are `slopes`, where those are known from near by. Those of an iteration after which
+        nothing is ahead are those of the optimum; there are none after so many `iterations` without one.
+        Parameters that push against a bound stay there, those `held` where they are.
         """
         (left, value), damping, coarse = self.left(x), 1e-3, True
         lower, upper = self.exact.lower.clone(), self.exact.upper.clone()
         lower[..., held] = upper[..., held] = x[0, held]
         for _ in range(iterations):
-            if slopes is None:
+            known, slopes = slopes, None
+            if known is None:
                 slopes = (self.coarse if coarse else self.exact).predict_and_jacobian(x)[1]
-            design, slopes = self.covariance.whiten(slopes.mT), None
+            design = self.covariance.whiten((slopes if known is None else known).mT)
             hessian = self.hessian(design)
             before, first, enough = value, math.inf, CONVERGED_AT * max(1.0, value / self.exact.freedom)
             for _ in range(CHORDS):
@@ -344,18 +349,10 @@ class Posterior:
                     break
             if before - value < enough:
                 if roughly or not coarse:
-                    break
+                    return x, value, slopes
                 damping = max(min(damping, 1.0), 1e-3)
-            coarse = roughly or (coarse and before - value >= enough and first >= EXACT_FROM)
-        return x, value
-
-    def equations(self, x: torch.Tensor, coarse: bool) -> tuple[torch.Tensor, ...]:
-        """Image, derivatives, these and the residual whitened, gradient and Hessian of half of χ²."""
-        image, columns = (self.coarse if coarse else self.exact).predict_and_jacobian(x)
-        image = self.exact.predict(x) if coarse else image
-        design = self.covariance.whiten(columns.mT)
-        left = self.covariance.whiten((self.fitter.stack.mean_e - image)[:, None])[:, 0]
-        return image, columns, design, left, self.gradient(x, design, left), self.hessian(design)
+            slopes, coarse = None, roughly or (coarse and before - value >= enough and first >= EXACT_FROM)
+        return x, value, None
 
     def gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:
         """Of half of χ² and priors, by whitened derivatives and what is left."""
@@ -395,23 +392,36 @@ def _inside(factor: torch.Tensor, scale: torch.Tensor, rows: torch.Tensor) -> to
 class Laplace(FittedModel):
     """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there.
 
-    All its priors are proper, so that tests leave out nothing but what rounding makes of nothing.
+    Its derivatives are the `columns`, where these are known, or else `coarse` or exact. All its priors are
+    proper, so that tests leave out nothing but what rounding makes of nothing.
     """
 
     least_seen = 1e-5
 
-    def __init__(self, posterior: Posterior, x: torch.Tensor, *, coarse: bool = False):
-        self.posterior, self.x, self.coarse = posterior, x, coarse
-        self.stack = posterior.fitter.stack
-        self.image, self.columns, design, residual, gradient, self.hessian = posterior.equations(x, coarse)
+    def __init__(
+        self,
+        posterior: Posterior,
+        x: torch.Tensor,
+        *,
+        coarse: bool = False,
+        columns: torch.Tensor | None = None,
+    ):
+        self.posterior, self.x, self.stack = posterior, x, posterior.fitter.stack
+        problem = posterior.coarse if coarse else posterior.exact
+        self.columns = problem.predict_and_jacobian(x)[1] if columns is None else columns
+        self.image = posterior.exact.predict(x)
+        left, design = (self.stack.mean_e - self.image)[:, None], self.whiten(self.columns.mT)
+        residual = self.whiten(left)[:, 0]
+        gradient, self.hessian = posterior.gradient(x, design, residual), posterior.hessian(design)
         self.factor, self.scale = factored = _factored(self.hessian)
         unconverged, basis = _inside(*factored, -gradient[None])[:, 0], _inside(*factored, design).mT
         super().__init__(residual, posterior.covariance.root, basis, unconverged)
         half = 0.5 * (float((residual**2).sum()) + posterior.penalty(x))
         value = torch.tensor([half], dtype=torch.float64)
         solution = Solution(x, self.covariance[None], [CONVERGED], torch.ones(1, dtype=torch.int64), value)
-        problem, views = posterior.coarse if coarse else posterior.exact, posterior.fitter.views
-        self.fitted = fitted_as(problem, solution, self.stack, views, self.image, self.columns)
+        self.fitted = fitted_as(
+            problem, solution, self.stack, posterior.fitter.views, self.image, self.columns
+        )
 
     @cached_property
     def log_evidence(self) -> float:

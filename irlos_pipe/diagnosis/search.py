@@ -8,7 +8,7 @@ its absence, and frames that no fit has seen, are clearly for it; what is not su
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -188,30 +188,21 @@ class Task:
         def begun(near: Fitted | None) -> Laplace:
             whole = self._with_everyday(declared if near is None else near.continued())
             posterior = Posterior(fitter, few_colours, whole, covariance, law)
-            x = posterior.start(near)
-            if further is not None:  # larger errors than those of a fit that leaves nothing would lose it
-                errors = Laplace(posterior, x, coarse=True).with_best_errors()
-                posterior = replace(posterior, covariance=errors)
-            return posterior.minimised(x, FIRST, roughly=True)
+            start = Laplace(posterior, posterior.start(near), coarse=True)
+            posterior = replace(posterior, covariance=start.with_best_errors())
+            return self._settled(posterior.minimised(start.x, FIRST, roughly=True, slopes=start.columns))
 
         starts = ordered_map(begun, [None, alone] if further is None else [alone])
         laplace = max(starts, key=lambda one: one.log_evidence)
         usual = labels_of(self._with_everyday(declared))
-        for label in laplace.fitted.problem.effects.labels:
-            if label not in usual:
-                laplace = self._in_best_form(laplace, label, wider=True)
-        laplace = self._settled(laplace)
+        laplace = self._in_best_forms(laplace, usual, wider=True)
         # The odds with which they entered; what is free for the sake of errors has none.
         known = {one.name for one in (laplace.fitted if further is None else alone).effects}
         entered = {one.base: math.inf if one.name in known else 0.0 for one in laplace.fitted.effects}
         if further is None:
             laplace, further = self._extended(laplace, entered)
-        wide = laplace
-        for label in reversed(laplace.fitted.problem.effects.labels):  # before all is found, images blur more
-            if label not in labels_of(declared):
-                laplace = self._in_best_form(laplace, label, wider=False)
-        if laplace is not wide:
-            laplace = self._settled(laplace)
+        # Before all is found, images blur more.
+        laplace = self._in_best_forms(laplace, labels_of(declared), wider=False)
         if laplace.misfit > FAR_OFF:
             laplace = self._nearest(laplace)
         laplace = laplace.posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
@@ -227,8 +218,7 @@ class Task:
             found = self._proposed(laplace, known)
             best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
             if best is not None:
-                without, laplace = laplace, self._settled(best[0])
-                odds = (laplace.log_evidence - without.log_evidence) / best[1]
+                laplace, odds = best
                 entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
                 if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                     return laplace, found
@@ -281,37 +271,40 @@ class Task:
         fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
         sides = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
 
-        def following(side: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
+        def following(side: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, ...]:
             _, x, columns = side
             return sharp.descended(x, 1, roughly=True, held=columns, slopes=laplace.columns)
 
         promising = sorted(ordered_map(following, sides), key=lambda one: one[1])[:SIDES]
         ends = ordered_map(lambda one: sharp.descended(one[0], TURNED, roughly=True), promising)
         self.report(len(ends))
-        x, value = min(ends, key=lambda one: one[1], default=(laplace.x, math.inf))
+        x, value, _ = min(ends, key=lambda one: one[1], default=(laplace.x, math.inf, None))
         if value >= sharp.left(laplace.x)[1]:
             return None
         other = posterior.minimised(x, AGAIN, roughly=True)
         return other if other.log_evidence > laplace.log_evidence + PROMISING else None
 
     def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, float] | None:
-        """The fit with the effect of the best odds, and their inflation; None if none is worth it.
+        """The fit with the effect of the best odds, and these; None if no effect is worth it.
 
-        The next is fitted where the fit of the one before falls short of what it promises.
+        The next is fitted where the fit of the one before falls short of what it promises. What enters may
+        make the error of the model smaller: in the end either model has the errors that suit it best.
         """
-        best, odds = None, -math.inf
+        best, odds, inflation = None, -math.inf, 1.0
         for score in [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]:
             if odds < score.log_odds and (other := self._joined(laplace, score)) is not None:
-                inflation = max(1.0, score.inflation)
-                gain = (other.log_evidence - laplace.log_evidence) / inflation
+                own = max(1.0, score.inflation)
+                gain = (other.log_evidence - laplace.log_evidence) / own
                 if gain > odds:
-                    best, odds = (other, inflation), gain
+                    best, odds, inflation = other, gain, own
         self.report(1)
-        if best is None or odds < WORTH:
+        if best is None:
             return None
         known = {*laplace.fitted.problem.effects.labels}
-        label = next(one for one in best[0].fitted.problem.effects.labels if one not in known)
-        return self._in_best_form(best[0], label, wider=True), best[1]
+        label = next(one for one in best.fitted.problem.effects.labels if one not in known)
+        best = self._settled(self._in_best_form(best, label, wider=True))
+        odds = (best.log_evidence - laplace.log_evidence) / inflation
+        return (best, odds) if odds >= WORTH else None
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
@@ -330,6 +323,14 @@ class Task:
             return posterior.minimised(x, JOINTLY, roughly=True)
         except (ValueError, torch.linalg.LinAlgError):
             return None
+
+    def _in_best_forms(self, laplace: Laplace, known: Container[str], *, wider: bool) -> Laplace:
+        """The fit with each effect that is not `known` in its best form, wider or narrower ones."""
+        found, labels = laplace, laplace.fitted.problem.effects.labels
+        for label in labels if wider else reversed(labels):
+            if label not in known:
+                found = self._in_best_form(found, label, wider=wider)
+        return laplace if found is laplace else self._settled(found)
 
     def _in_best_form(self, laplace: Laplace, label: str, *, wider: bool) -> Laplace:
         """The fit with an effect, or with a wider or narrower form that has better odds.

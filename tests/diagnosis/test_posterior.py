@@ -203,6 +203,7 @@ def test_a_second_candidate_is_fitted_where_the_first_falls_short_of_what_it_pro
 
     monkeypatch.setattr(Task, "_joined", joined)
     monkeypatch.setattr(Task, "_in_best_form", lambda task, laplace, label, wider: laplace)
+    monkeypatch.setattr(Task, "_settled", lambda task, laplace: laplace)
     scores = [
         SimpleNamespace(name=one, log_odds=promise, inflation=1.0)
         for one, promise in zip(names, (30, 22), strict=True)
