@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,10 +44,7 @@ class LiftResult:
     """Estimates of a batch of images."""
 
     nolls: tuple[int, ...]
-    zernike_nm: torch.Tensor  # (images, modes), beyond the known wavefront
-    # (images, modes, modes), inverse of the Fisher matrix (plus prior), flux and background marginalised
-    covariance_nm2: torch.Tensor
-    solution: Solution  # all parameters and their status
+    solution: Solution  # modes, flux and background, and their status; of a robust loss its own covariance
     model_e: torch.Tensor  # (images, rows, columns)
     chi2_nu: torch.Tensor  # (images,)
 
@@ -57,6 +54,16 @@ class LiftResult:
             return parts[0]
         solution = Solution.joined([part.solution for part in parts])
         return joined(parts, solution=solution)
+
+    @property
+    def zernike_nm(self) -> torch.Tensor:
+        """Modes beyond the known wavefront, (images, modes)."""
+        return self.solution.values[:, : len(self.nolls)]
+
+    @property
+    def covariance_nm2(self) -> torch.Tensor:
+        """Their inverse Fisher matrix (plus prior), flux and background marginalised, (images, modes, modes)."""
+        return self.solution.covariance[:, : len(self.nolls), : len(self.nolls)]
 
     @property
     def sigma_nm(self) -> torch.Tensor:
@@ -138,17 +145,12 @@ def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options) -> 
         x = _finite(solve(posed, x, max_iterations=options.max_iterations), x)
         posed = NearlySolved(posed, model).with_tolerance(CLOSE_TOLERANCE)
     solution = solve(posed, x, max_iterations=options.max_iterations)
-    ended, modes = _finite(solution, x), layout.modes
+    ended = _finite(solution, x)
     model_e = problem.predict_all(ended.to(images_e.device))
-    covariance = solution.covariance if quadratic else posed.robust_covariance(ended)
-    return LiftResult(
-        nolls,
-        solution.values[:, modes],
-        covariance[:, modes, modes],
-        solution,
-        model_e.reshape(images_e.shape).cpu(),
-        problem.reduced_chi2_of(model_e).cpu(),
-    )
+    if not quadratic:
+        solution = replace(solution, covariance=posed.robust_covariance(ended))
+    chi2_nu = problem.reduced_chi2_of(model_e).cpu()
+    return LiftResult(nolls, solution, model_e.reshape(images_e.shape).cpu(), chi2_nu)
 
 
 def _with_model_variance(rough: ImageFit, x, images_e, good, noise, options: LiftOptions) -> ImageFit:

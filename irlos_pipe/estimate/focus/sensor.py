@@ -265,12 +265,4 @@ def lift_singly(
         report(1)
     x, errors, counts, least = map(torch.from_numpy, (values, covariance, iterations, objective))
     solution = Solution(x, errors, status, counts, least)
-    modes = slice(0, len(NOLLS))
-    return LiftResult(
-        NOLLS,
-        solution.values[:, modes],
-        solution.covariance[:, modes, modes],
-        solution,
-        torch.from_numpy(model_e),
-        torch.from_numpy(chi2_nu),
-    )
+    return LiftResult(NOLLS, solution, torch.from_numpy(model_e), torch.from_numpy(chi2_nu))
