@@ -22,7 +22,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss, normal_equations, robust_equations
 from irlos_pipe.numerics.parallel import at_once, joined_map
-from irlos_pipe.numerics.solver import CHI2_TOLERANCE, Problem, scaled_inverse
+from irlos_pipe.numerics.solver import CHI2_TOLERANCE, Problem, Solution, scaled_inverse
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
@@ -323,6 +323,28 @@ class ImageFit(ModesFit):
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Return the model images of the whole batch [e-], (batch, pixels), float64 where `x` is."""
         return self._map(lambda fit, part, _: (fit.predict(part),), x, torch.arange(len(x)))[0]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A problem and where its fit ended; numbers are those of its first member."""
+
+    problem: ImageFit
+    solution: Solution
+
+    @property
+    def x(self) -> torch.Tensor:
+        """Parameters, (1, parameters)."""
+        return self.solution.values[:1]
+
+    @property
+    def chi2_nu(self) -> float:
+        """χ²/ν by its own weights."""
+        return float(self.problem.reduced_chi2(self.x)[0])
+
+    @property
+    def objective(self) -> float:
+        return float(self.solution.objective[0])
 
 
 class JoinedFit(ModesFit):

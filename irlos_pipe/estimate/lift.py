@@ -62,7 +62,7 @@ class LiftResult:
 
     @property
     def covariance_nm2(self) -> torch.Tensor:
-        """Their inverse Fisher matrix (plus prior), flux and background marginalised, (images, modes, modes)."""
+        """Inverse of their Fisher matrix (plus prior), the others marginalised, (images, modes, modes)."""
         return self.solution.covariance[:, : len(self.nolls), : len(self.nolls)]
 
     @property

@@ -26,8 +26,8 @@ from scipy.optimize import minimize
 
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import ImageFit, Layout
-from irlos_pipe.numerics.solver import INVALID, CheapGradientProblem, Solution, solve
+from irlos_pipe.estimate.image_fit import Fit, ImageFit, Layout
+from irlos_pipe.numerics.solver import INVALID, CheapGradientProblem, solve
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -63,16 +63,11 @@ def like(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPa
 
 
 @dataclass(frozen=True)
-class Opened:
+class Opened(Fit):
     """A fit of all modes."""
 
     problem: OpenFit
-    solution: Solution
     law: TailLaw  # prior of the modes beyond the closed basis, as fitted
-
-    @property
-    def fit(self) -> tuple[OpenFit, Solution]:
-        return self.problem, self.solution
 
 
 class OpenFit(CheapGradientProblem, ImageFit):
@@ -122,7 +117,7 @@ class OpenFit(CheapGradientProblem, ImageFit):
 
 def open_basis(
     closed: ImageFit,
-    near: tuple[ImageFit, Solution],
+    near: Fit,
     *,
     law: TailLaw | None = None,
     max_iterations: int,
@@ -148,8 +143,7 @@ def open_basis(
     variance_e2 = closed.root_weight.double() ** -2
     law = law or TailLaw(psf.nolls[-1] + 1)
     problem = OpenFit(model, layout, closed.images, variance_e2, loss=closed.loss).with_law(law)
-    start = near[0].carried(near[1].values[:1], problem)
-    found = fitted_from(problem, start, law, max_iterations)
+    found = fitted_from(problem, near.problem.carried(near.x, problem), law, max_iterations)
     return finished(found, max_iterations) if settle and found is not None else found
 
 

@@ -30,7 +30,8 @@ import torch
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
-from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit, chi2_nu_of
+from irlos_pipe.estimate.image_fit import Fit
+from irlos_pipe.estimate.methods import FIRST, CubeFit
 from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, finished, fitted_from, settled
 from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.solver import INVALID, Solution, solve
@@ -64,14 +65,14 @@ def likelier_side(opened: Opened, max_iterations: int, *, settle: bool = True) -
     For `max_iterations` and `settle` see `open_basis`.
     """
     problem, best = opened.problem, opened
-    sides = on_other_sides(problem.model.effects, problem.layout.effect_values, opened.solution.values[:1])
+    sides = on_other_sides(problem.model.effects, problem.layout.effect_values, opened.x)
     for start in [start for effect, start, _ in sides if effect.base.fact]:
         found = fitted_from(problem.exact, start, opened.law, max_iterations)
         # what a rough fit leaves to gain is less than this
         if settle and found is not None:
-            hopeless = _objective(found.solution) > _objective(best.solution) + found.problem.tolerance
+            hopeless = found.objective > best.objective + found.problem.tolerance
             found = None if hopeless else finished(found, max_iterations)
-        if found is not None and _objective(found.solution) < _objective(best.solution):
+        if found is not None and found.objective < best.objective:
             best = found
     return best
 
@@ -91,16 +92,15 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     with softened weights if all of them lead back or one fact explains what the best of them misses, and else
     after `SHAKES` shakes of each at most.
     """
-    problem, values = opened.problem, opened.solution.values[:1]
-    chi2_nu = chi2_nu_of(opened.fit)
-    if chi2_nu <= most or chi2_nu > (1 - EXPLAINED) * chi2_nu_of(closed):
+    problem, chi2_nu = opened.problem, opened.chi2_nu
+    if chi2_nu <= most or chi2_nu > (1 - EXPLAINED) * closed.chi2_nu:
         return opened
     rough = problem.to(ROUGHLY)
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))
     begun = task.problem(problem.model.effects.effects)  # the closed basis may hold some of them
     starts = [begun.carried(x, problem) for x in task.starts(begun)]
-    best = search.best_from(starts, values)
-    if best is None or float(best.objective[0]) >= float(opened.solution.objective[0]):
+    best = search.best_from(starts, opened.x)
+    if best is None or _objective(best) >= opened.objective:
         return opened
     limit = task.options.max_iterations
     found = settled(rough, search.problem, best.values, opened.law, limit, best.values)
