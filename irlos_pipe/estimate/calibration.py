@@ -27,8 +27,15 @@ from irlos_pipe.estimate.causes import EXPLAINED
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import Fit, ImageFit
 from irlos_pipe.estimate.methods import CubeFit, Report, linear_estimates, scheme_of, silent
-from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, finished, open_basis
-from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
+from irlos_pipe.estimate.open_fit import (
+    Opened,
+    OpenFit,
+    TailLaw,
+    finished,
+    likelier_minimum,
+    likelier_side,
+    open_basis,
+)
 from irlos_pipe.estimate.score_test import Mirrored, best_start, mirrored, uneven
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -117,7 +124,7 @@ def calibrate(
 
     The fit starts at `start_nm` (modes,) from Noll 2 on, for as many modes as there are; else from none, and
     once more from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from
-    others (see `open_minima`). `report` gets the number of finished frames, for a progress bar, and `note` a
+    others (see `open_fit`). `report` gets the number of finished frames, for a progress bar, and `note` a
     line after every step, for a log. Raises ValueError with an open basis of a method that has none.
     """
     if options.highest_noll == OPEN and not METHODS[options.method].open:

@@ -23,6 +23,9 @@ from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss, normal_equations, robust_equations
 from irlos_pipe.numerics.parallel import at_once, joined_map
 from irlos_pipe.numerics.solver import CHI2_TOLERANCE, Problem, Solution, scaled_inverse
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
@@ -431,6 +434,11 @@ class JoinedFit(ModesFit):
 def _half_chi2(offset: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
     """Half the χ² of parameters against their prior, (1,)."""
     return 0.5 * (precision * offset**2).sum(1)
+
+
+def like(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPath:
+    """Return the light path of other settings and modes, computed where and as precisely as `psf`."""
+    return light_path(settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
 
 
 def masked_variance(variance_e2: torch.Tensor, good: torch.Tensor) -> torch.Tensor:

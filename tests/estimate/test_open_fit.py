@@ -25,13 +25,15 @@ from irlos_pipe.estimate.methods import CubeFit
 from irlos_pipe.estimate.open_fit import (
     Opened,
     OpenFit,
+    Softening,
     TailLaw,
     fit_tail_law,
     last_noll_of,
+    likelier_minimum,
+    likelier_side,
     open_basis,
     visible_order,
 )
-from irlos_pipe.estimate.open_minima import Softening, likelier_minimum, likelier_side
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
