@@ -22,7 +22,7 @@ from irlos_pipe.estimate.calibration_errors import (
     nominal_of,
     nominal_power,
 )
-from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions, OneSetup, TwinCheck
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, OneSetup, TwinCheck
 from irlos_pipe.estimate.causes import EXPLAINED
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import Fit, ImageFit
@@ -125,10 +125,8 @@ def calibrate(
     The fit starts at `start_nm` (modes,) from Noll 2 on, for as many modes as there are; else from none, and
     once more from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from
     others (see `open_fit`). `report` gets the number of finished frames, for a progress bar, and `note` a
-    line after every step, for a log. Raises ValueError with an open basis of a method that has none.
+    line after every step, for a log.
     """
-    if options.highest_noll == OPEN and not METHODS[options.method].open:
-        raise ValueError(f"method {options.method} has no open basis: state its highest Noll mode")
     began = time.perf_counter()
     options = options.resolved()
     effects = tuple(effects) if METHODS[options.method].effects else ()

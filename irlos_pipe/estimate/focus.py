@@ -3,9 +3,9 @@
 Every image is measured by itself, from a scan of the whole reach on: no earlier image matters, so that a
 measurement can be repeated, on line or afterwards, to the last bit.
 
-It is fitted by tip, tilt, focus, flux and background. The estimator is that of `lift` with variances that follow the model: the minimum of the quasi-likelihood of
-`NoiseModel`, by Fisher scoring. With five parameters and one image the arithmetic is a few matrix products,
-which NumPy does in memory that is set aside once.
+It is fitted by tip, tilt, focus, flux and background. The estimator is that of `lift` with variances that
+follow the model: the minimum of the quasi-likelihood of `NoiseModel`, by Fisher scoring. With five parameters
+and one image the arithmetic is a few matrix products, which NumPy does in memory that is set aside once.
 
 It begins with a scan of defocus and position that needs no earlier image: as `starts.scan_start_nm`, the best
 of some templates by normalised cross-correlation; but images have no frequencies beyond the optics' cut-off,

@@ -35,21 +35,13 @@ MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing i
 Piece = Callable[[Any, torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 
-class ModesFit(Problem):
-    """A fit of images whose first parameters are those of a `layout`, with priors (batch, parameters)."""
-
-    layout: Layout
-    prior_mean: torch.Tensor
-    prior_precision: torch.Tensor
-
-
-class ImageFit(ModesFit):
+class ImageFit(Problem):
     """Images against those of an `ImageModel`; never changed, methods return changed copies.
 
     The modes of the model's PSF are the fitted ones. Its free effect parameters are either those of
-    `layout.effects`, fitted along, or stay where they start. The data `images_e` are (batch, repeats,
-    pixels), those along `repeats` share one parameter vector; their variance, broadcastable to them, is
-    infinite for masked pixels.
+    `layout.effects`, fitted along in a batch of one, or stay where they start. The data `images_e` are
+    (batch, repeats, pixels), those along `repeats` share one parameter vector; their variance, broadcastable
+    to them, is infinite for masked pixels.
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
@@ -80,10 +72,6 @@ class ImageFit(ModesFit):
         self.lower, self.upper = self._bounds(model)
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
         self.has_prior = bool(self.prior_precision.any())
-        if layout.effects and len(images_e) > 1:
-            raise ValueError(
-                "free effect parameters belong to one image; fit those of a ramp with `fit_shared`"
-            )
 
     def _root_weight(self, variance_e2: torch.Tensor) -> torch.Tensor:
         """Square root of the weight per pixel; a loss in plain electrons uses the median variance."""
@@ -128,11 +116,8 @@ class ImageFit(ModesFit):
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
 
-        Raises ValueError if the present loss counts in plain electrons, which forgets the variances, and the
-        other one does not.
+        From such a loss there is no way back to others: it forgets the variances.
         """
-        if loss.whitened and not self.loss.whitened:
-            raise ValueError(f"the variances are forgotten that {loss.name} needs")
         other = self._with(loss=loss, reweighted=not loss.quadratic)
         if self.loss.whitened and not loss.whitened:
             other.root_weight = other._root_weight(self.root_weight.double() ** -2)
@@ -350,7 +335,7 @@ class Fit:
         return float(self.solution.objective[0])
 
 
-class JoinedFit(ModesFit):
+class JoinedFit(Problem):
     """Fits of several recordings by one vector; one member.
 
     The `parts`, of one member each, have the same modes. For each of them `columns` say where its parameters

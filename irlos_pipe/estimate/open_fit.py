@@ -173,31 +173,18 @@ def fitted_from(problem: OpenFit, start: torch.Tensor, law: TailLaw, max_iterati
 
 
 def finished(rough: Opened, max_iterations: int) -> Opened | None:
-    """What `fitted_from` left, settled; None where numbers are not finite."""
-    quick, x = rough.problem, rough.solution.values
-    # the step from the place of the last derivatives was negligible
-    near = x if quick.few_colours is None or quick.known is None else quick.known[0]
-    return settled(quick.exact, quick, x, rough.law, max_iterations, near)
+    """Fit the law of the tail where a hastened fit roughly ended, and all modes by it.
 
-
-def settled(
-    problem: OpenFit,
-    quick: OpenFit,
-    values: torch.Tensor,
-    law: TailLaw,
-    max_iterations: int,
-    start: torch.Tensor,
-) -> Opened | None:
-    """Fit the law of the tail where a fit of all modes roughly ended, and from `start` on all modes by it.
-
-    The fit `problem` has a `law`, `quick` is the same hastened, which ended at `values`, (1, parameters).
     None where numbers are not finite.
     """
+    quick, exact, x = rough.problem, rough.problem.exact, rough.x
+    # the step from the place of the last derivatives was negligible
+    start = x if quick.few_colours is None or quick.known is None else quick.known[0]
     # the law by evidence at a solution with another one
-    hessian = problem.normal_equations(values, torch.zeros(1, dtype=torch.int64))[2][0].numpy()
-    precision = problem.prior_precision[0].numpy()
-    law = fit_tail_law(law, problem.layout.nolls, values[0].numpy(), hessian, precision)
-    problem, quick = (one.with_law(law).to(SETTLED) for one in (problem, quick))
+    hessian = exact.normal_equations(x, FIRST)[2][0].numpy()
+    precision = quick.prior_precision[0].numpy()
+    law = fit_tail_law(rough.law, quick.layout.nolls, x[0].numpy(), hessian, precision)
+    problem, quick = (one.with_law(law).to(SETTLED) for one in (exact, quick))
     near = solve(quick, start, max_iterations=max_iterations)
     if near.status[0] == INVALID:
         return None
@@ -319,16 +306,15 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     problem, chi2_nu = opened.problem, opened.chi2_nu
     if chi2_nu <= most or chi2_nu > (1 - EXPLAINED) * closed.chi2_nu:
         return opened
-    rough = problem.to(ROUGHLY)
-    search = _Search(rough.hastened(), most, np.random.default_rng(SEED))
+    search = _Search(problem.to(ROUGHLY).hastened(), most, np.random.default_rng(SEED))
     begun = task.problem(problem.model.effects.effects)  # the closed basis may hold some of them
     starts = [begun.carried(x, problem) for x in task.starts(begun)]
     best = search.best_from(starts, opened.x)
     if best is None or _objective(best) >= opened.objective:
         return opened
-    limit = task.options.max_iterations
-    found = settled(rough, search.problem, best.values, opened.law, limit, best.values)
-    return opened if found is None else found
+    # beside the search, the derivatives known are of other places
+    found = Opened(search.problem._with(known=None), best, opened.law)
+    return finished(found, task.options.max_iterations) or opened
 
 
 @dataclass

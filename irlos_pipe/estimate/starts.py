@@ -26,7 +26,7 @@ from irlos_pipe.effects.base import AT_REST, direction_among
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import PupilSteps
 from irlos_pipe.estimate.calibration_options import LiftOptions, NcpaPrior, TwinCheck
-from irlos_pipe.estimate.image_fit import ImageFit, ModesFit
+from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once, joined_map
@@ -217,7 +217,7 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
 
 
 def check_twin(
-    problem: ModesFit,
+    problem: ImageFit | JoinedFit,
     solution: Solution,
     law: NcpaLaw | None,
     known_nm: Mapping[int, float],
