@@ -109,7 +109,7 @@ class EveryFrame(Scheme):
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
         """See `Scheme.start`: what a few frames agree on, and tip and tilt of every frame by itself."""
         model = problem.model.psf
-        median_nm = median_of_frames_nm(model, frames.images_e, frames.good, frames.noise, ROUGH_ITERATIONS)
+        median_nm = median_of_frames_nm(model, frames, ROUGH_ITERATIONS)
         x = start_at_centroids(frames, problem)
         modelled = start_tilts_nm(model.images(median_nm[None]).double(), model.settings)
         x[:, :2] += median_nm[:2] - modelled
@@ -263,8 +263,8 @@ class CubeFit:
         """Return where a fit that knows nothing may begin, and one with the low modes of single frames."""
         nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
         model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
-        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
-        return [scheme_of(self.options).start(cube, problem), start_at_centroids(cube, problem, median_nm)]
+        start = start_at_centroids(cube, problem, median_of_frames_nm(model, cube))
+        return [scheme_of(self.options).start(cube, problem), start]
 
     def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
         """The solution, or better ones with parts of the pupil whole waves nearer or further."""
