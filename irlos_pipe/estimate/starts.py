@@ -123,8 +123,8 @@ def median_of_frames_nm(
 ) -> torch.Tensor:
     """Return the median of the coefficients of a few frames spread over a cube, each fitted by itself.
 
-    The first modes of the `model` are Noll 2 and 3, `max_iterations` are those of every fit: (modes,), float64
-    [nm RMS], zero where no frame could be fitted.
+    The first modes of the `model` are Noll 2 and 3, `max_iterations` are those of every fit. Returns float64
+    (modes,) [nm RMS], zero where no frame could be fitted.
     """
     some = frames.images_e[evenly(len(frames.images_e), FEW_FRAMES)]
     start = torch.zeros(len(some), len(model.nolls), dtype=torch.float64)
