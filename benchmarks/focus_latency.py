@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.cases import TWO_WAVELENGTHS
 from benchmarks.inputs import DIVERSITY_NM, PIXEL_SCALE_MAS, WINDOW_PX
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.focus.sensor import Focus
+from irlos_pipe.estimate.focus import Focus
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel

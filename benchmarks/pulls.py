@@ -18,7 +18,7 @@ from benchmarks import harness
 from benchmarks.harness import Outcome, Suite, markdown
 from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.lift_errors import FrameErrors, instant_error_nm, nominal_frame_chi2, optics_sigma_nm
+from irlos_pipe.estimate.lift import FrameErrors, instant_error_nm, nominal_frame_chi2, optics_sigma_nm
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.common.calibrations import DEFAULT, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, knowledge_of, observe, ramp_scene

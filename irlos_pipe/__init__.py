@@ -25,7 +25,7 @@ HOMES = {
     "load_instrument": "instrument.instrument",
     "PsfModel": "optics.psf",
     "PsfSettings": "optics.psf_settings",
-    "Focus": "estimate.focus.sensor",
+    "Focus": "estimate.focus",
     "explain": "reference.lookup",
     "ConfigurationError": "conventions.errors",
     "InputDataError": "conventions.errors",

@@ -7,7 +7,7 @@ from irlos_pipe.api.running import open_run as open_run
 from irlos_pipe.api.running import run as run
 from irlos_pipe.conventions.errors import ConfigurationError as ConfigurationError
 from irlos_pipe.conventions.errors import InputDataError as InputDataError
-from irlos_pipe.estimate.focus.sensor import Focus as Focus
+from irlos_pipe.estimate.focus import Focus as Focus
 from irlos_pipe.instrument.instrument import load_instrument as load_instrument
 from irlos_pipe.optics.psf import PsfModel as PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings as PsfSettings

@@ -158,7 +158,7 @@ class FocusOptions:
 
     def request(self, run: Path) -> CalibrationRequest:
         """The calibration of a `run`, for the frames that will come."""
-        from irlos_pipe.estimate.focus.sensor import Limits
+        from irlos_pipe.estimate.focus import Limits
         from irlos_pipe.focus.calibration import CalibrationRequest
         from irlos_pipe.focus.ring import window_of
 

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,12 +22,20 @@ from irlos_pipe.estimate.calibration_errors import (
     nominal_of,
     nominal_power,
 )
-from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions, OneSetup, TwinCheck
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, OneSetup, TwinCheck
 from irlos_pipe.estimate.causes import EXPLAINED
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
-from irlos_pipe.estimate.methods import CubeFit, Fit, Report, chi2_nu_of, linear_estimates, scheme_of, silent
-from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, finished, open_basis
-from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
+from irlos_pipe.estimate.image_fit import Fit, ImageFit
+from irlos_pipe.estimate.methods import CubeFit, Report, linear_estimates, scheme_of, silent
+from irlos_pipe.estimate.open_fit import (
+    Opened,
+    OpenFit,
+    TailLaw,
+    finished,
+    likelier_minimum,
+    likelier_side,
+    open_basis,
+)
 from irlos_pipe.estimate.score_test import Mirrored, best_start, mirrored, uneven
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -65,11 +74,11 @@ class Calibration:
     chi2_nu: float  # of the mean image, against the scatter between frames
     nominal: NominalChi2  # what it would be about a model that lacks nothing
     noise_ratio: float  # see `Frames.noise_ratio`
-    window_resolutions: float  # smaller side of the window in λ/D
+    window_resolutions: float  # smaller side of the window in λ/D, at the longest wavelength
     kurtosis: float  # of the frames, see `kurtosis_of_frames`
     twin: TwinCheck | None  # of the closed basis
     tail: TailLaw | None  # law of the modes beyond it; None where there are none
-    seconds: float
+    seconds: float = math.nan
     # standard errors of `effects`, see `effect_errors`
     effects_sigma: dict[str, dict] = field(default_factory=dict)
     # power spectrum of the residual over its standard error, see `image_quality.power_spectrum`
@@ -115,11 +124,9 @@ def calibrate(
 
     The fit starts at `start_nm` (modes,) from Noll 2 on, for as many modes as there are; else from none, and
     once more from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from
-    others (see `open_minima`). `report` gets the number of finished frames, for a progress bar, and `note` a
-    line after every step, for a log. Raises ValueError with an open basis of a method that has none.
+    others (see `open_fit`). `report` gets the number of finished frames, for a progress bar, and `note` a
+    line after every step, for a log.
     """
-    if options.highest_noll == OPEN and not METHODS[options.method].open:
-        raise ValueError(f"method {options.method} has no open basis: state its highest Noll mode")
     began = time.perf_counter()
     options = options.resolved()
     effects = tuple(effects) if METHODS[options.method].effects else ()
@@ -136,8 +143,9 @@ def calibrate(
         task, fit = _weighted_by_misfit(task, steady, fit)
     for effect in effects:
         if drifts(effect):
-            frames_nm = linear_estimates(frames, *fit).frames_nm
-            fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
+            frames_nm = linear_estimates(frames, fit).frames_nm
+            drift = measured_drift(effect, psf.nolls, frames_nm)
+            fit = task.fit([*fit.problem.model.effects.effects, drift], fit)
     closed, opened, nominal, adjusted = fit, _all_modes(task, effects, fit), None, False
     if opened is not None and any(starts_as_told(effect) for effect in steady):
         closed, opened = _from_found_effects(task, closed, opened)
@@ -145,32 +153,27 @@ def calibrate(
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
     if opened is not None and (adjust_always or start_nm is None):
-        declared, nominal = opened, nominal_of(task.frames, opened.problem, opened.solution.values[:1])
-        wrong = adjustable and (adjust_always or chi2_nu_of(opened.fit) > nominal.most_behind_ao)
+        declared, nominal = opened, nominal_of(task.frames, opened.problem, opened.x)
+        wrong = adjustable and (adjust_always or opened.chi2_nu > nominal.most_behind_ao)
         found = _adjusted(task, closed, opened, adjustable, adjust_always) if wrong else None
         task, opened = found or (task, likelier_minimum(task, closed, opened, nominal.most))
         adjusted = opened.problem.model.effects.labels != declared.problem.model.effects.labels
         nominal = nominal if opened is declared else None
         note("facts of the instrument adjusted" if adjusted else "other explanations compared")
-    twin, tail = scheme_of(options).twin(*closed, options.law), None
-    if opened is not None:
-        fit, tail = opened.fit, opened.law
-    known = nominal if task.frames is frames else None
-    result = _result(frames, options, fit, twin, tail, time.perf_counter() - began, known)
+    twin, fit = scheme_of(options).twin(closed, options.law), opened or closed
+    result = _result(frames, options, fit, twin, nominal if task.frames is frames else None)
     further = None
     if result.fit and result.errors_from == "frames" and result.nominal.excess(result.chi2_nu) > 0:
-        further = uneven(frames, *result.fit)
+        further = uneven(frames, result.fit)
     if further is not None:
         note("the AO residual is uneven over the pupil: fitted again with it")
         if opened is None:
-            fit = task.fit([*fit[0].model.effects.effects, further], fit)
+            fit = task.fit([*fit.problem.model.effects.effects, further], fit)
         else:
-            opened = _with_one_more(task, opened, further)
-            fit, tail = opened.fit, opened.law
-        other = _result(frames, options, fit, twin, tail, time.perf_counter() - began)
-        best = min(result, other, key=lambda one: one.chi2_nu)
-        result = replace(best, seconds=other.seconds)
-    return replace(result, adjusted=adjusted)
+            fit = _with_one_more(task, opened, further)
+        other = _result(frames, options, fit, twin)
+        result = min(result, other, key=lambda one: one.chi2_nu)
+    return replace(result, adjusted=adjusted, seconds=time.perf_counter() - began)
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
@@ -183,7 +186,7 @@ def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
     turns = occurrences(effect.name for effect in effects)
     for turn in sorted({turns[index] for index in range(len(effects)) if index not in placed}):
         now = [index for index in range(len(effects)) if index not in placed and turns[index] == turn]
-        placed |= {index: best_start(fit[0], fit[1].values[:1], effects[index]) for index in now}
+        placed |= {index: best_start(fit.problem, fit.x, effects[index]) for index in now}
         fit = task.fit([placed[index] for index in sorted(placed)], fit)
     return fit
 
@@ -192,7 +195,7 @@ def _all_modes(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> Opened | N
     """The fit of all visible modes, where it is requested and possible."""
     if not task.options.open or any(isinstance(effect, HighOrderNcpa) for effect in effects):
         return None
-    return _opened(task, fit[0].model.effects.effects, fit)
+    return _opened(task, fit.problem.model.effects.effects, fit)
 
 
 def _opened(
@@ -222,11 +225,11 @@ def _adjusted(
     rough = likelier_side(rough, limit, settle=False)
     for image in (effect for effect in adjustable if effect.copies_star):
         rough = _with_second_image(task, rough, image)
-    problem, x = rough.problem, rough.solution.values[:1]
-    nominal, chi2_nu = nominal_of(task.frames, problem, x), chi2_nu_of(rough.fit)
+    problem, x = rough.problem, rough.x
+    nominal, chi2_nu = nominal_of(task.frames, problem, x), rough.chi2_nu
     if chi2_nu > nominal.most_behind_ao and not always:
         return None
-    if not always and not all(fact.ordinary(values) for fact, values in facts_of(rough.fit)):
+    if not always and not all(fact.ordinary(values) for fact, values in facts_of(rough)):
         return task, opened
     if nominal.excess(chi2_nu) > 0 and chi2_nu <= nominal.most_behind_ao:
 
@@ -242,26 +245,25 @@ def _adjusted(
 
 def facts_of(fit: Fit) -> list[tuple[Effect, np.ndarray]]:
     """Return the facts of the instrument among the effects of a fit, and their values (parameters,)."""
-    problem, solution = fit
-    effects, own = problem.model.effects, problem.layout.effect_values
-    found = zip(effects.effects, effects.pieces(solution.values[0, own]), strict=True)
+    effects, own = fit.problem.model.effects, fit.problem.layout.effect_values
+    found = zip(effects.effects, effects.pieces(fit.x[0, own]), strict=True)
     return [(one.base, one.all_values(free).numpy()) for one, free in found if one.base.fact]
 
 
 def _with_second_image(task: CubeFit, rough: Opened, image: Effect) -> Opened:
     """A rough fit of all modes, or one with a second `image` that explains most of what it misses."""
-    problem, x = rough.problem, rough.solution.values[:1]
-    nominal, chi2_nu = nominal_of(task.frames, problem, x), chi2_nu_of(rough.fit)
+    problem, x = rough.problem, rough.x
+    nominal, chi2_nu = nominal_of(task.frames, problem, x), rough.chi2_nu
     if chi2_nu <= nominal.most:
         return rough
     other = _with_one_more(task, rough, best_start(problem, x, image), settle=False)
-    return other if chi2_nu_of(other.fit) - nominal.value < EXPLAINED * (chi2_nu - nominal.value) else rough
+    return other if other.chi2_nu - nominal.value < EXPLAINED * (chi2_nu - nominal.value) else rough
 
 
 def _with_one_more(task: CubeFit, opened: Opened, further: Effect, *, settle: bool = True) -> Opened:
     """The fit of all modes with a `further` effect, from where it is."""
     effects = [*opened.problem.model.effects.effects, further]
-    return _opened(task, effects, opened.fit, opened.law, settle=settle) or opened
+    return _opened(task, effects, opened, opened.law, settle=settle) or opened
 
 
 def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:
@@ -270,20 +272,20 @@ def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit
     Jointly with few modes, or none, effects that a diagnosis found may diverge. Here they stay where it found
     them until the modes of the closed basis are fitted, and are free jointly with all modes only.
     """
-    effects = closed[0].model.effects.effects
+    effects = closed.problem.model.effects.effects
     held = task.fit([effect.expected() if starts_as_told(effect) else effect for effect in effects])
     other = _opened(task, effects, held)
-    if other is None or float(opened.solution.objective[0]) <= float(other.solution.objective[0]):
+    if other is None or opened.objective <= other.objective:
         return closed, opened
     return held, other
 
 
 def _explained_by_tail(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> bool:
     """Whether modes beyond the closed basis are all that the model misses."""
-    if chi2_nu_of(fit) < MISFIT:
+    if fit.chi2_nu < MISFIT:
         return True
     opened = _all_modes(task, effects, fit)
-    return opened is not None and chi2_nu_of(opened.fit) < MISFIT
+    return opened is not None and opened.chi2_nu < MISFIT
 
 
 def _weighted_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> tuple[CubeFit, Fit]:
@@ -292,7 +294,7 @@ def _weighted_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> t
     Weights of known noise alone would have modes follow what is no wavefront, against any prior.
     """
     for _ in range(MISFIT_ROUNDS):
-        factor = chi2_nu_of(fit)
+        factor = fit.chi2_nu
         if factor < MISFIT:
             break
         task = replace(task, frames=replace(task.frames, misfit=task.frames.misfit * factor))
@@ -305,57 +307,72 @@ def _result(
     options: CalibrationOptions,
     fit: Fit,
     twin: TwinCheck | None,
-    tail: TailLaw | None,
-    seconds: float,
     nominal: NominalChi2 | None = None,
 ) -> Calibration:
-    problem, solution = fit
-    layout, effects = problem.layout, problem.model.effects
-    found = scheme_of(options).estimates(frames, problem, solution)
-    mean, sigma = frames.mean_e, mean_variance_e2(frames).sqrt()
-    model_image = problem.predict(found.values)[0].reshape(mean.shape).cpu()
-    pull = ((mean - model_image) / sigma)[frames.good]
-    chi2_nu = float((pull**2).sum() / (len(pull) - layout.size))
+    problem, settings, effects = fit.problem, fit.problem.model.psf.settings, METHODS[options.method].effects
+    found = scheme_of(options).estimates(frames, fit)
+    model = problem.predict(found.values)[0].reshape(settings.window).cpu()
+    pull = ((frames.mean_e - model) / mean_variance_e2(frames).sqrt())[frames.good]
+    chi2_nu = float((pull**2).sum() / (len(pull) - problem.layout.size))
     nominal = nominal or nominal_of(frames, problem, found.values)
-    effect_values = found.values[0, layout.effect_values]
-    misfit = chi2_nu / nominal.value
-    covariance_nm2, errors_from = errors_of(frames, problem, solution, found.frames_nm, chi2_nu, nominal)
-    left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
-    one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
-    result = Calibration(
-        options,
-        layout.nolls,
-        found.zernike_nm,
-        found.values[0, layout.modes].numpy(),
-        covariance_nm2,
-        errors_from,
-        effects.describe(effect_values),
-        effects.split(effect_values),
-        found.frames_nm,
-        solution.status,
-        solution.iterations.numpy(),
-        mean.numpy(),
-        model_image.numpy(),
-        sigma.numpy(),
-        chi2_nu,
-        nominal,
-        frames.noise_ratio,
-        window_resolutions(problem.model.psf.settings),
-        kurtosis_of_frames(frames),
-        twin,
-        tail,
-        seconds,
-        effect_errors(frames, problem, solution, misfit),
-        power_spectrum(left, problem.model.psf.settings.resolution_px),
-        mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
-        frames.motion,
-        nominal_power(frames, problem, found.values, nominal),
-        fit if one_star else None,
+    covariance_nm2, errors_from = errors_of(frames, fit, found.frames_nm, chi2_nu, nominal)
+    return result_of(
+        [frames],
+        problem,
+        found.values,
+        model,
+        options=options,
+        zernike_nm=found.zernike_nm,
+        covariance_nm2=covariance_nm2,
+        errors_from=errors_from,
+        frames_nm=found.frames_nm,
+        frame_status=fit.solution.status,
+        iterations=fit.solution.iterations.numpy(),
+        chi2_nu=chi2_nu,
+        nominal=nominal,
+        twin=twin,
+        tail=fit.law if isinstance(fit, Opened) else None,
+        effects_sigma=effect_errors(frames, fit, chi2_nu / nominal.value),
+        mirrored=mirrored(frames, problem, found.values) if effects else None,
+        left_nominal=nominal_power(frames, problem, found.values, nominal),
+        fit=fit if effects and settings.lenslets == 1 else None,
     )
-    return at_mean_place(result, frames.motion, problem.model.psf.settings)
 
 
-def at_mean_place(result: Calibration, motion: Motion | None, settings: PsfSettings) -> Calibration:
+def result_of(
+    cubes: Sequence[Frames], part: ImageFit, x: torch.Tensor, model_e: torch.Tensor, **others: Any
+) -> Calibration:
+    """Return the result with what is stated of the frames, all `cubes` together, and of the first of these.
+
+    Its fit is `part`, with the parameters `x` (1, parameters), and the model of its mean image `model_e`
+    (rows, columns); the `others` are given.
+    """
+    first, layout, effects, settings = cubes[0], part.layout, part.model.effects, part.model.psf.settings
+    values, sigma_e = x[0, layout.effect_values], mean_variance_e2(first).sqrt()
+    left = torch.where(first.good, (first.mean_e - model_e) / sigma_e, torch.nan).numpy()
+    longest_m = max(wavelength for wavelength, _ in settings.spectrum) * NM
+    pixels = resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+    motions = [one.motion for one in cubes if one.motion is not None]
+    kurtoses = map(kurtosis_of_frames, cubes)
+    result = Calibration(
+        nolls=layout.nolls,
+        fitted_modes_nm=x[0, layout.modes].numpy(),
+        effects=effects.describe(values),
+        effect_values=effects.split(values),
+        mean_image_e=first.mean_e.numpy(),
+        model_image_e=model_e.numpy(),
+        sigma_image_e=sigma_e.numpy(),
+        noise_ratio=min((one.noise_ratio for one in cubes if len(one.images_e) > 1), default=math.nan),
+        window_resolutions=min(settings.window) / pixels,
+        kurtosis=min((kurtosis for kurtosis in kurtoses if math.isfinite(kurtosis)), default=math.nan),
+        left=power_spectrum(left, settings.resolution_px),
+        motion=max(motions, key=lambda one: one.largest_px, default=None),
+        **others,
+    )
+    return _at_mean_place(result, first.motion, settings)
+
+
+def _at_mean_place(result: Calibration, motion: Motion | None, settings: PsfSettings) -> Calibration:
     """Return the result with tip and tilt of the mean place of the star, whose `motion` was taken out.
 
     It was fitted where its first frames were steadied, up to half a pixel from there.
@@ -370,13 +387,6 @@ def at_mean_place(result: Calibration, motion: Motion | None, settings: PsfSetti
     frames_nm[: len(away_nm), :2] += away_nm
     covariance_nm2[:2, :2] += covariance_of_mean(away_nm)
     return replace(result, **dict(zip(names, moved, strict=True)))
-
-
-def window_resolutions(settings: PsfSettings) -> float:
-    """Return the smaller side of the window in λ/D, at the longest wavelength."""
-    longest_m = max(wavelength for wavelength, _ in settings.spectrum) * NM
-    pixels = resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
-    return min(settings.window) / pixels
 
 
 def drifts(effect: Effect) -> bool:

@@ -54,10 +54,10 @@ from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import LEAST_FRAMES, Frames, covariance_of_mean, local_mean
-from irlos_pipe.estimate.image_fit import ImageFit, whole_wavefront
+from irlos_pipe.estimate.image_fit import Fit, ImageFit, whole_wavefront
 from irlos_pipe.frames.recording import blocks
 from irlos_pipe.numerics.parallel import joined_map
-from irlos_pipe.numerics.solver import INVALID, Solution
+from irlos_pipe.numerics.solver import INVALID
 from irlos_pipe.optics.image_quality import power_spectrum
 
 ErrorsFrom = Literal["frames", "few_frames", "noise"]
@@ -66,12 +66,7 @@ KEPT_SIGMA = 3.0  # standard deviations at which the widened errors keep their l
 
 
 def errors_of(
-    frames: Frames,
-    problem: ImageFit,
-    solution: Solution,
-    frames_nm: np.ndarray,
-    chi2_nu: float,
-    nominal: NominalChi2,
+    frames: Frames, fit: Fit, frames_nm: np.ndarray, chi2_nu: float, nominal: NominalChi2
 ) -> tuple[np.ndarray, ErrorsFrom]:
     """Return the covariance of the modes [nm²], and where it comes from.
 
@@ -79,13 +74,13 @@ def errors_of(
     fitted, errors grow by the root of what χ²/ν of the mean image is over its nominal value.
     """
     used = frames_nm[np.isfinite(frames_nm).all(1)]
-    if frames.show_scatter and problem.images.shape[:2] != (1, 1):
+    if frames.show_scatter and fit.problem.images.shape[:2] != (1, 1):
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
         scatter = slow_part(used[:, len(TIP_TILT) : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
-        of_shared, of_model = _systematic_nm2(frames, problem, solution, nominal)
+        of_shared, of_model = _systematic_nm2(frames, fit, nominal)
         return scatter + of_shared + of_model, "frames"
-    covariance = covariance_from_noise(problem, solution)
+    covariance = covariance_from_noise(fit)
     if not _scatter_beyond(used, covariance):
         return covariance, "noise"
     return covariance + widening(len(used) - 1) ** 2 * np.cov(used, rowvar=False) / len(used), "few_frames"
@@ -104,16 +99,14 @@ def slow_part(series: np.ndarray) -> float:
     return slow if abs(np.log(slow)) * np.trace(told) > DISTINCT * np.sqrt((told**2).sum() / SLOWEST) else 1.0
 
 
-def _systematic_nm2(
-    frames: Frames, problem: ImageFit, solution: Solution, nominal: NominalChi2
-) -> tuple[np.ndarray, np.ndarray]:
+def _systematic_nm2(frames: Frames, fit: Fit, nominal: NominalChi2) -> tuple[np.ndarray, np.ndarray]:
     """Covariances of the modes [nm²] by what all frames share, (modes, modes) each.
 
     These are the noise of the dark, and the error of the model.
     """
-    x, settings = solution.values[:1], problem.model.psf.settings
+    problem, x, settings = fit.problem, fit.x, fit.problem.model.psf.settings
     model_e, jacobian = (one[0].double().cpu() for one in problem.predict_and_jacobian(x))
-    covariance, weight = solution.covariance[0], problem.root_weight[0].double().mean(0).cpu() ** 2
+    covariance, weight = fit.solution.covariance[0], problem.root_weight[0].double().mean(0).cpu() ** 2
     weighted, gain = jacobian * weight, whole_wavefront(problem, x[0])[1] @ covariance
     of_shared = frames.noise.shared_e2 * (gain @ (weighted @ weighted.mT) @ gain.mT).numpy()
     seen = weight > 0
@@ -343,11 +336,12 @@ def _autocorrelation_time(products: torch.Tensor) -> float:
     return time
 
 
-def covariance_from_noise(problem: ImageFit, solution: Solution) -> np.ndarray:
+def covariance_from_noise(fit: Fit) -> np.ndarray:
     """Return the covariance of the whole static wavefront, the mean over the fits [nm²], (modes, modes).
 
-    The weights of the `problem` are those of the noise.
+    The weights of the `fit` are those of the noise.
     """
+    problem, solution = fit.problem, fit.solution
     usable = [member for member, status in enumerate(solution.status) if status != INVALID]
     values, covariance = solution.values[usable], solution.covariance[usable]
     misfit = problem.members(torch.tensor(usable)).reduced_chi2(values).clamp_min(1.0)[:, None, None]
@@ -357,18 +351,16 @@ def covariance_from_noise(problem: ImageFit, solution: Solution) -> np.ndarray:
     return (read @ (scaled.mean(0) / len(usable)) @ read.mT).numpy()
 
 
-def effect_errors(
-    frames: Frames, problem: ImageFit, solution: Solution, misfit: float
-) -> dict[str, dict[str, Any]]:
+def effect_errors(frames: Frames, fit: Fit, misfit: float) -> dict[str, dict[str, Any]]:
     """Return the errors of the public values of the effects, by label: from the scatter of the frames.
 
-    Of too few frames from the noise model. Both grow by the `misfit`, see `errors_of`. The `problem` of these
+    Of too few frames from the noise model. Both grow by the `misfit`, see `errors_of`. The `fit` of these
     frames has one member.
     """
-    layout, x = problem.layout, solution.values[:1]
+    problem, layout, x = fit.problem, fit.problem.layout, fit.x
     if not problem.model.effects.parameters:
         return {}
-    covariance = solution.covariance[0][layout.effect_values]
+    covariance = fit.solution.covariance[0][layout.effect_values]
     if frames.show_scatter:
         _, jacobian = problem.predict_and_jacobian(x)
         weight = problem.root_weight[0].double().mean(0) ** 2

@@ -52,23 +52,20 @@ class Method:
     name: str
     fits: Fits  # to which images, see `methods.SCHEMES`
     loss: LossName  # the default
-    description: str
     highest_noll: int = HIGHEST_REPORTED_NOLL  # default number of modes, Noll 2 to this
     open: bool = False  # whether all that the window shows follow them, see `open_fit`
     effects: bool = False  # whether the AO residual and jitter belong to the model
 
 
-_LONG = "mean image; the AO residual's long-exposure OTF and the jitter are part of the model"
-_SINGLY, _WEIGHTED = "every frame by itself, ", "noise-weighted Gauss-Newton"
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
-        Method("long_exposure", "mean image", "gaussian", _LONG, 66, open=True, effects=True),
-        Method("dip_global", "every frame", "l1", f"{_SINGLY}coefficients averaged (paper, method 3)"),
-        Method("dip_avg", "mean image", "l1", "mean image, L1 loss (paper, method 1)"),
-        Method("dip_joint", "all frames", "l1", "one coefficient vector for all frames (paper, method 2)"),
-        Method("lift_avg", "mean image", "gaussian", f"mean image, {_WEIGHTED} (paper, LIFT avg.)"),
-        Method("lift_slices", "every frame", "gaussian", f"{_SINGLY}{_WEIGHTED} (paper, LIFT slices)"),
+        Method("long_exposure", "mean image", "gaussian", 66, open=True, effects=True),
+        Method("dip_global", "every frame", "l1"),  # the paper's method 3
+        Method("dip_avg", "mean image", "l1"),  # method 1
+        Method("dip_joint", "all frames", "l1"),  # method 2
+        Method("lift_avg", "mean image", "gaussian"),  # its LIFT avg.
+        Method("lift_slices", "every frame", "gaussian"),  # and LIFT slices
     )
 }
 

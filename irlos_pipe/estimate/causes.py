@@ -34,8 +34,7 @@ from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
 from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, METHODS, Cause, NcpaPrior
 from irlos_pipe.estimate.cube import local_mean
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.open_fit import like
+from irlos_pipe.estimate.image_fit import ImageFit, like
 from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, derivatives, frozen_effects, null_model
 from irlos_pipe.frames.told import SMALLEST_NM
 from irlos_pipe.numerics.solver import INVALID, solve

@@ -22,7 +22,10 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss, normal_equations, robust_equations
 from irlos_pipe.numerics.parallel import at_once, joined_map
-from irlos_pipe.numerics.solver import CHI2_TOLERANCE, Problem, scaled_inverse
+from irlos_pipe.numerics.solver import CHI2_TOLERANCE, Problem, Solution, scaled_inverse
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
@@ -32,21 +35,13 @@ MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing i
 Piece = Callable[[Any, torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 
-class ModesFit(Problem):
-    """A fit of images whose first parameters are those of a `layout`, with priors (batch, parameters)."""
-
-    layout: Layout
-    prior_mean: torch.Tensor
-    prior_precision: torch.Tensor
-
-
-class ImageFit(ModesFit):
+class ImageFit(Problem):
     """Images against those of an `ImageModel`; never changed, methods return changed copies.
 
     The modes of the model's PSF are the fitted ones. Its free effect parameters are either those of
-    `layout.effects`, fitted along, or stay where they start. The data `images_e` are (batch, repeats,
-    pixels), those along `repeats` share one parameter vector; their variance, broadcastable to them, is
-    infinite for masked pixels.
+    `layout.effects`, fitted along in a batch of one, or stay where they start. The data `images_e` are
+    (batch, repeats, pixels), those along `repeats` share one parameter vector; their variance, broadcastable
+    to them, is infinite for masked pixels.
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
@@ -77,10 +72,6 @@ class ImageFit(ModesFit):
         self.lower, self.upper = self._bounds(model)
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
         self.has_prior = bool(self.prior_precision.any())
-        if layout.effects and len(images_e) > 1:
-            raise ValueError(
-                "free effect parameters belong to one image; fit those of a ramp with `fit_shared`"
-            )
 
     def _root_weight(self, variance_e2: torch.Tensor) -> torch.Tensor:
         """Square root of the weight per pixel; a loss in plain electrons uses the median variance."""
@@ -125,11 +116,8 @@ class ImageFit(ModesFit):
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
 
-        Raises ValueError if the present loss counts in plain electrons, which forgets the variances, and the
-        other one does not.
+        From such a loss there is no way back to others: it forgets the variances.
         """
-        if loss.whitened and not self.loss.whitened:
-            raise ValueError(f"the variances are forgotten that {loss.name} needs")
         other = self._with(loss=loss, reweighted=not loss.quadratic)
         if self.loss.whitened and not loss.whitened:
             other.root_weight = other._root_weight(self.root_weight.double() ** -2)
@@ -325,7 +313,29 @@ class ImageFit(ModesFit):
         return self._map(lambda fit, part, _: (fit.predict(part),), x, torch.arange(len(x)))[0]
 
 
-class JoinedFit(ModesFit):
+@dataclass(frozen=True)
+class Fit:
+    """A problem and where its fit ended; numbers are those of its first member."""
+
+    problem: ImageFit
+    solution: Solution
+
+    @property
+    def x(self) -> torch.Tensor:
+        """Parameters, (1, parameters)."""
+        return self.solution.values[:1]
+
+    @property
+    def chi2_nu(self) -> float:
+        """χ²/ν by its own weights."""
+        return float(self.problem.reduced_chi2(self.x)[0])
+
+    @property
+    def objective(self) -> float:
+        return float(self.solution.objective[0])
+
+
+class JoinedFit(Problem):
     """Fits of several recordings by one vector; one member.
 
     The `parts`, of one member each, have the same modes. For each of them `columns` say where its parameters
@@ -409,6 +419,11 @@ class JoinedFit(ModesFit):
 def _half_chi2(offset: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
     """Half the χ² of parameters against their prior, (1,)."""
     return 0.5 * (precision * offset**2).sum(1)
+
+
+def like(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPath:
+    """Return the light path of other settings and modes, computed where and as precisely as `psf`."""
+    return light_path(settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
 
 
 def masked_variance(variance_e2: torch.Tensor, good: torch.Tensor) -> torch.Tensor:

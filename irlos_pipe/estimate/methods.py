@@ -20,7 +20,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration_errors import nominal_of
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits, TwinCheck
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
-from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance, whole_wavefront
+from irlos_pipe.estimate.image_fit import Fit, ImageFit, Layout, masked_variance, whole_wavefront
 from irlos_pipe.estimate.starts import (
     FEW_FRAMES,
     a_wave_off,
@@ -77,12 +77,12 @@ class Scheme:
         """Minimise the `problem` from a `start` in `max_iterations`; see `solve` for `report`."""
         return solve(problem, start, max_iterations=max_iterations, report=report)
 
-    def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
-        """Return the modes from the `solution` of the `problem` of these `frames`."""
-        return linear_estimates(frames, problem, solution)
+    def estimates(self, frames: Frames, fit: Fit) -> Estimates:
+        """Return the modes from the `fit` of these `frames`."""
+        return linear_estimates(frames, fit)
 
-    def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
-        """Compare the `solution` of a `problem` with its twin under a `law`, where that is of use."""
+    def twin(self, fit: Fit, law: NcpaLaw | None) -> TwinCheck | None:
+        """Compare a `fit` with its twin under a `law`, where that is of use."""
         return None
 
 
@@ -95,9 +95,9 @@ class MeanImage(Scheme):
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
         return light_path(settings, nolls, device=device, dtype=torch.float64, rough_derivatives=True)
 
-    def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
-        known_nm = problem.model.psf.settings.known.total_nm
-        return check_twin(problem, solution, law, known_nm)[0]
+    def twin(self, fit: Fit, law: NcpaLaw | None) -> TwinCheck | None:
+        known_nm = fit.problem.model.psf.settings.known.total_nm
+        return check_twin(fit.problem, fit.solution, law, known_nm)[0]
 
 
 class EveryFrame(Scheme):
@@ -109,7 +109,7 @@ class EveryFrame(Scheme):
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
         """See `Scheme.start`: what a few frames agree on, and tip and tilt of every frame by itself."""
         model = problem.model.psf
-        median_nm = median_of_frames_nm(model, frames.images_e, frames.good, frames.noise, ROUGH_ITERATIONS)
+        median_nm = median_of_frames_nm(model, frames, ROUGH_ITERATIONS)
         x = start_at_centroids(frames, problem)
         modelled = start_tilts_nm(model.images(median_nm[None]).double(), model.settings)
         x[:, :2] += median_nm[:2] - modelled
@@ -119,8 +119,8 @@ class EveryFrame(Scheme):
     def solve(self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report) -> Solution:
         return fit_frames(problem, start, max_iterations=max_iterations, report=report)
 
-    def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
-        modes = problem.layout.modes
+    def estimates(self, frames: Frames, fit: Fit) -> Estimates:
+        modes, solution = fit.problem.layout.modes, fit.solution
         usable = np.array([status != INVALID for status in solution.status])
         values = solution.values[torch.as_tensor(usable)].mean(0, keepdim=True)
         frames_nm = np.where(usable[:, None], solution.values[:, modes].numpy(), np.nan)
@@ -150,17 +150,17 @@ def start_at_centroids(
     return x
 
 
-def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
+def linear_estimates(frames: Frames, fit: Fit) -> Estimates:
     """Return estimates of one vector for all frames, and of every frame by one linear step from it.
 
     The mean of the latter is the solution, their scatter carries photon noise, speckle and real changes. The
-    `problem` of these `frames` has one member.
+    `fit` of these `frames` has one member.
     """
-    x, layout = solution.values[:1], problem.layout
+    problem, x, layout = fit.problem, fit.x, fit.problem.layout
     added, read = whole_wavefront(problem, x[0])
     model_e, jacobian = problem.predict_and_jacobian(x)
     weight = problem.curvature_weights(x, model_e)[0]
-    gain = read @ solution.covariance[0] @ (jacobian[0].double().cpu() * weight)
+    gain = read @ fit.solution.covariance[0] @ (jacobian[0].double().cpu() * weight)
     total = x[0, layout.modes] + added
     return Estimates(x, total.numpy(), (total + frames.responses(gain)).numpy())
 
@@ -230,14 +230,6 @@ def _with_shared_curvature(problem: ImageFit, x: torch.Tensor) -> Solution:
 
 FIRST = torch.zeros(1, dtype=torch.int64)  # the only member of a batch of one
 
-Fit = tuple[ImageFit, Solution]
-
-
-def chi2_nu_of(fit: Fit) -> float:
-    """Return χ²/ν of the first member of a fit, by its own weights."""
-    problem, solution = fit
-    return float(problem.reduced_chi2(solution.values[:1])[0])
-
 
 @dataclass(frozen=True)
 class CubeFit:
@@ -259,20 +251,20 @@ class CubeFit:
         else:
             start = start_at_centroids(self.frames, problem, self.start_nm)
         if near is not None:
-            start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
+            start[:, problem.layout.modes] = near.solution.values[:, near.problem.layout.modes]
         solution = self._solve(problem, start, self.report)
         alone = near is None and self.start_nm is None
         if alone and METHODS[self.options.method].effects and not self._is_plausible(problem, solution):
             solution = better(solution, self._solve(problem, self.starts(problem)[1]))
             solution = self._by_whole_waves(problem, solution)
-        return problem, solution
+        return Fit(problem, solution)
 
     def starts(self, problem: ImageFit) -> list[torch.Tensor]:
         """Return where a fit that knows nothing may begin, and one with the low modes of single frames."""
         nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
         model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
-        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
-        return [scheme_of(self.options).start(cube, problem), start_at_centroids(cube, problem, median_nm)]
+        start = start_at_centroids(cube, problem, median_of_frames_nm(model, cube))
+        return [scheme_of(self.options).start(cube, problem), start]
 
     def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
         """The solution, or better ones with parts of the pupil whole waves nearer or further."""
@@ -286,7 +278,7 @@ class CubeFit:
     def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
         """Whether the first solution is converged, with a nominal χ²/ν."""
         most = nominal_of(self.frames, problem, solution.values).most
-        return bool(solution.converged[0] and chi2_nu_of((problem, solution)) <= most)
+        return bool(solution.converged[0] and Fit(problem, solution).chi2_nu <= most)
 
     def problem(self, effects: Sequence[Effect]) -> ImageFit:
         """Return the problem with these effects, which begins nowhere."""

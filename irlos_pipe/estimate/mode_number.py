@@ -71,10 +71,8 @@ def halves(frames: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of the frames of two halves, each (blocks, frames): alternate runs of equal length.
 
     Runs rather than single frames, whose speckle is correlated with that of their neighbours; many of them,
-    so that both halves see the same slow changes. Raises ValueError with fewer than `MIN_FRAMES` frames.
+    so that both halves see the same slow changes. There are `MIN_FRAMES` frames at least.
     """
-    if frames < MIN_FRAMES:
-        raise ValueError(f"halves need at least {MIN_FRAMES} frames, there are {frames}")
     length = frames // (2 * BLOCKS_PER_HALF)
     runs = np.arange(2 * BLOCKS_PER_HALF * length).reshape(-1, length)
     return runs[0::2], runs[1::2]
@@ -246,11 +244,9 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
     """Fit the law by maximum likelihood to the modes to `keep`, (modes,) of bool.
 
     The search begins at `start`. With `remove_noise`, the law is that of the NCPAs, the noise in the
-    likelihood; otherwise that of the estimates. Raises ValueError with fewer than four modes.
+    likelihood; otherwise that of the estimates.
     """
     nolls = np.asarray(scatter.nolls)[keep]
-    if len(nolls) < 4:
-        raise ValueError(f"a law of three parameters needs at least four modes, there are {len(nolls)}")
     noise2 = scatter.noise_nm[keep] ** 2 if remove_noise else np.zeros(len(nolls))
 
     def root_deviance(x: np.ndarray) -> np.ndarray:

@@ -42,8 +42,7 @@ from irlos_pipe.effects.planes import CopyOfStar, OtfEffect, PupilEffect
 from irlos_pipe.effects.seeing_halo import SeeingHalo, UnevenResidual
 from irlos_pipe.estimate.calibration_errors import BY_CHANCE
 from irlos_pipe.estimate.cube import LEAST_FRAMES, Frames, autocorrelation_time, covariance_of_mean
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.solver import Solution
+from irlos_pipe.estimate.image_fit import Fit, ImageFit
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, PupilMode
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -308,13 +307,13 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
     return [*fixed, _FrozenTransfer(optics.transfer, [*copies, *by_mode])]
 
 
-def uneven(frames: Frames, problem: ImageFit, solution: Solution) -> UnevenResidual | None:
+def uneven(frames: Frames, fit: Fit) -> UnevenResidual | None:
     """Return the unevenness over the pupil of an AO residual where the images show one.
 
-    The mean of the `frames` was fitted with `problem`. There is none where the model has it already or has no
-    AO residual, nor where the frames' scatter explains what is seen of it.
+    The `fit` is that of the mean of the `frames`. There is none where the model has it already or has no AO
+    residual, nor where the frames' scatter explains what is seen of it.
     """
-    x, effects = solution.values[:1], problem.model.effects
+    problem, x, effects = fit.problem, fit.x, fit.problem.model.effects
     halos = [
         base for base in (getattr(one, "base", one) for one in effects.effects) if type(base) is SeeingHalo
     ]

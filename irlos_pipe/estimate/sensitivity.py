@@ -91,11 +91,8 @@ def dim(
 
     Measured frames and their noise-free model `signal_e` are (frames, rows, columns). The `noise` is that of
     the frames, and unless another one is given, that of the `faint` ones; where these have less than scaling
-    leaves, nothing is taken away. Raises ValueError if `factor` exceeds 1: frames cannot be made brighter
-    honestly.
+    leaves, nothing is taken away. Frames cannot be made brighter honestly: no `factor` exceeds 1.
     """
-    if not 0 < factor <= 1:
-        raise ValueError(f"frames can only be dimmed, not scaled by {factor:.3g}")
     faint = faint or noise
     gain = faint.excess_noise_factor
     lacking = max(0.0, gain * factor - noise.excess_noise_factor * factor**2)

@@ -27,22 +27,14 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.calibration import (
-    MISFIT,
-    Calibration,
-    SetupFit,
-    at_mean_place,
-    calibrate,
-    window_resolutions,
-)
+from irlos_pipe.estimate.calibration import MISFIT, Calibration, SetupFit, calibrate, result_of
 from irlos_pipe.estimate.calibration_errors import NominalChi2, Part, nominal_chi2, public_errors
 from irlos_pipe.estimate.calibration_options import CalibrationOptions, TwinCheck
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront
 from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
 from irlos_pipe.estimate.starts import check_twin
 from irlos_pipe.numerics.solver import Solution, solve
-from irlos_pipe.optics.image_quality import power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 POINTING = len(TIP_TILT)  # the first modes
@@ -175,41 +167,29 @@ def calibrate_setups(
         _found(setup, part, problem.part(x, n), float(x[0, FOCUSED - 1]), device)
         for n, (setup, part) in enumerate(zip(setups, parts, strict=True))
     ]
-    first, frames = found[0], [setup.frames for setup in setups]
-    left = np.where(frames[0].good, (first.mean_e - first.model_e) / first.sigma_e, np.nan)
-    motions = [one.motion for one in frames if one.motion is not None]
-    result = Calibration(
+    return result_of(
+        [setup.frames for setup in setups],
+        parts[0],
+        own,
+        torch.as_tensor(found[0].model_e),
         options=closed,
-        nolls=layout.nolls,
         zernike_nm=total.numpy(),
-        fitted_modes_nm=own[0, layout.modes].numpy(),
         covariance_nm2=(read @ mine @ read.mT).numpy(),
-        errors_from="frames" if all(one.show_scatter for one in frames) else "noise",
-        effects=effects.describe(values),
-        effect_values=effects.split(values),
+        errors_from="frames" if all(one.frames.show_scatter for one in setups) else "noise",
         frames_nm=(total + changes[:, columns] @ read.mT).numpy(),
         frame_status=solution.status,
         iterations=solution.iterations.numpy(),
-        mean_image_e=first.mean_e,
-        model_image_e=first.model_e,
-        sigma_image_e=first.sigma_e,
         chi2_nu=chi2_nu,
         nominal=nominal,
-        noise_ratio=min((one.noise_ratio for one in frames if len(one.images_e) > 1), default=math.nan),
-        window_resolutions=window_resolutions(setups[0].settings),
-        kurtosis=min((k for k in map(kurtosis_of_frames, frames) if math.isfinite(k)), default=math.nan),
         twin=twin,
         tail=None,
         seconds=time.perf_counter() - began,
         effects_sigma=public_errors(
             effects, values, mine[layout.effect_values, layout.effect_values].numpy()
         ),
-        left=power_spectrum(left, setups[0].settings.resolution_px),
-        motion=max(motions, key=lambda one: one.largest_px, default=None),
         setups=found,
         introduced_accuracy=problem.accuracy if problem.off_nm else math.nan,
     )
-    return at_mean_place(result, frames[0].motion, setups[0].settings)
 
 
 def _from_none(

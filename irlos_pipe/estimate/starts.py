@@ -26,9 +26,9 @@ from irlos_pipe.effects.base import AT_REST, direction_among
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import PupilSteps
 from irlos_pipe.estimate.calibration_options import LiftOptions, NcpaPrior, TwinCheck
-from irlos_pipe.estimate.image_fit import ImageFit, ModesFit
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit
 from irlos_pipe.estimate.lift import lift
-from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once, joined_map
 from irlos_pipe.numerics.solver import INVALID, Solution, solve
 from irlos_pipe.optics.grids import Optics
@@ -50,7 +50,9 @@ def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tenso
     Of `images_e` (frames, rows, columns), pixels below a fifth of the brightest are left out, so that noise
     and halo do not pull.
     """
-    images_e = one_star(images_e, settings)
+    if settings.lenslets > 1:  # whose images are one star
+        rows, columns = settings.lenslet_window
+        images_e = images_e.unflatten(2, (-1, columns)).unflatten(1, (-1, rows)).sum((1, 3))
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
     total = bright.sum((1, 2)).clamp_min(1e-30)
     rows, columns = images_e.shape[1:]
@@ -58,14 +60,6 @@ def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tenso
     x = (bright.sum(1) @ (torch.arange(columns).to(bright) - (columns - 1) / 2)) / total
     angles_mas = torch.stack([x, y], dim=1).double().cpu() * settings.pixel_scale_mas
     return tilt_nm(angles_mas, settings.geometry.diameter_m)
-
-
-def one_star(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
-    """Return the sum of the images of the lenslets, (frames, rows, columns); without any, `images_e`."""
-    if settings.lenslets == 1:
-        return images_e
-    rows, columns = settings.lenslet_window
-    return images_e.unflatten(2, (-1, columns)).unflatten(1, (-1, rows)).sum((1, 3))
 
 
 def scan_start_nm(
@@ -125,23 +119,18 @@ def evenly(count: int, most: int) -> torch.Tensor:
 
 
 def median_of_frames_nm(
-    model: LightPath,
-    images_e: torch.Tensor,
-    good: torch.Tensor,
-    noise: NoiseModel,
-    max_iterations: int = FEW_FRAMES_ITERATIONS,
+    model: LightPath, frames: Frames, max_iterations: int = FEW_FRAMES_ITERATIONS
 ) -> torch.Tensor:
     """Return the median of the coefficients of a few frames spread over a cube, each fitted by itself.
 
-    The first modes of the `model` are Noll 2 and 3, `max_iterations` are those of every fit. From `images_e`
-    (frames, rows, columns) and `good` pixels (rows, columns): (modes,), float64 [nm RMS], zero where no frame
-    could be fitted.
+    The first modes of the `model` are Noll 2 and 3, `max_iterations` are those of every fit. Returns float64
+    (modes,) [nm RMS], zero where no frame could be fitted.
     """
-    some = images_e[evenly(len(images_e), FEW_FRAMES)]
+    some = frames.images_e[evenly(len(frames.images_e), FEW_FRAMES)]
     start = torch.zeros(len(some), len(model.nolls), dtype=torch.float64)
-    start[:, :2] = start_tilts_nm((some * good).double(), model.settings)
+    start[:, :2] = start_tilts_nm((some * frames.good).double(), model.settings)
     options = LiftOptions(noise="data", max_iterations=max_iterations)
-    result = lift(ImageModel(model), some, good, noise, start, options)
+    result = lift(ImageModel(model), some, frames.good, frames.noise, start, options)
     valid = torch.tensor([status != INVALID for status in result.solution.status])
     estimates = result.zernike_nm[valid]
     return estimates.median(dim=0).values if len(estimates) else start.new_zeros(len(model.nolls))
@@ -217,7 +206,7 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
 
 
 def check_twin(
-    problem: ModesFit,
+    problem: ImageFit | JoinedFit,
     solution: Solution,
     law: NcpaLaw | None,
     known_nm: Mapping[int, float],

@@ -14,9 +14,9 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.conventions.text import and_more
-from irlos_pipe.estimate.focus.sensor import Focus, Limits
-from irlos_pipe.estimate.focus.unexplained import Structure, Unexplained
-from irlos_pipe.estimate.lift_errors import FrameErrors, spread_over
+from irlos_pipe.estimate.focus import Focus, Limits
+from irlos_pipe.estimate.lift import FrameErrors, spread_over
+from irlos_pipe.estimate.unexplained import Structure, Unexplained
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import Instrument

@@ -11,7 +11,7 @@ from pathlib import Path
 from irlos_pipe.control.controller import ControllerSettings, ControllerState, Decision, Response, decide
 from irlos_pipe.control.exposures import Accumulator, Exposure, Read
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.estimate.focus.sensor import Measurement
+from irlos_pipe.estimate.focus import Measurement
 from irlos_pipe.focus.calibration import (
     MISFIT,
     Calibration,

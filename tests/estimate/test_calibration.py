@@ -253,7 +253,7 @@ def test_errors_of_the_model_move_the_modes_by_what_is_quoted_for_the_misfit_tha
 ):
     """Monte Carlo: errors in proportion to the light, smooth over an Airy core, followed to first order."""
     frames, result, _ = behind_a_cone
-    problem, solution = result.fit
+    problem, solution = result.fit.problem, result.fit.solution
     rng, across_px = np.random.default_rng(3), 1600e-9 / 8.0 / (cases.SCALE_MAS * cases.MAS_RAD)
     apart = np.subtract.outer(np.arange(40), np.arange(40)) / (2.3 * across_px)
     values, vectors = np.linalg.eigh(np.sinc(apart) ** 2)
@@ -267,7 +267,7 @@ def test_errors_of_the_model_move_the_modes_by_what_is_quoted_for_the_misfit_tha
     quoted, nominal = [], nominal_of(frames, problem, solution.values[:1])
     for one in torch.as_tensor(left, dtype=torch.float32):
         seen = replace(frames, images_e=frames.images_e + one)
-        quoted.append(np.diag(errors_of(seen, problem, solution, result.frames_nm, 1.0, nominal)[0]))
+        quoted.append(np.diag(errors_of(seen, result.fit, result.frames_nm, 1.0, nominal)[0]))
     scatter = slow_part(result.frames_nm[:, 2:29]) * np.diag(covariance_of_mean(result.frames_nm))
     model = np.mean(quoted, axis=0) - scatter
     assert np.sqrt(model) == pytest.approx(steps[:, : len(NOLLS)].std(axis=0), rel=0.1)

@@ -11,7 +11,7 @@ from helpers import optics_cases as cases
 from scipy.ndimage import gaussian_filter
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.focus.sensor import Focus, Limits
+from irlos_pipe.estimate.focus import Focus, Limits
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.focus_table import FocusImages, FocusTable, Reach

@@ -41,7 +41,7 @@ def solution(objective: float, status: str = CONVERGED) -> Solution:
 
 def test_the_median_of_a_few_frames_is_near_the_truth(frames, truth_nm):
     model = PsfModel(cases.settings(WINDOW), NOLLS)
-    found = median_of_frames_nm(model, frames.images_e, frames.good, frames.noise)
+    found = median_of_frames_nm(model, frames)
     assert (found - truth_nm[0]).norm() < 5
 
 

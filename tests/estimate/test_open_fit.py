@@ -25,13 +25,15 @@ from irlos_pipe.estimate.methods import CubeFit
 from irlos_pipe.estimate.open_fit import (
     Opened,
     OpenFit,
+    Softening,
     TailLaw,
     fit_tail_law,
     last_noll_of,
+    likelier_minimum,
+    likelier_side,
     open_basis,
     visible_order,
 )
-from irlos_pipe.estimate.open_minima import Softening, likelier_minimum, likelier_side
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -231,16 +233,10 @@ def task(problem: OpenFit, *starts: torch.Tensor) -> SimpleNamespace:
     )
 
 
-def closed(problem: OpenFit, chi2_nu: float) -> tuple[SimpleNamespace, SimpleNamespace]:
-    """A fit of the closed basis with this χ²/ν."""
-    fit = SimpleNamespace(layout=problem.layout, reduced_chi2=lambda x: torch.tensor([chi2_nu]))
-    return fit, SimpleNamespace(values=place())
-
-
 def test_a_wrong_minimum_gives_way_to_the_right_one(problem):
     wrong = place()
     wrong[0, 5:9] += 150.0
-    found = likelier_minimum(task(problem, place()), closed(problem, 1e6), ended(problem, wrong), 1.4)
+    found = likelier_minimum(task(problem, place()), SimpleNamespace(chi2_nu=1e6), ended(problem, wrong), 1.4)
     assert float(found.problem.reduced_chi2(found.solution.values)[0]) < 1.4
     assert (found.solution.values - place())[0, :27].norm() < 5
 
@@ -276,7 +272,7 @@ def opened_from(direction_rad: float) -> Opened:
     frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
     task = CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR))
     closed = task.fit([FixedEffect(STOP, [DISTANCE_M, direction_rad, 0.0], FREE)])
-    opened = open_basis(closed[0], closed, max_iterations=30)
+    opened = open_basis(closed.problem, closed, max_iterations=30)
     assert opened is not None
     return opened
 

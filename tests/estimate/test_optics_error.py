@@ -6,8 +6,7 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import lift
-from irlos_pipe.estimate.lift_errors import defocus_slopes, optics_sigma_nm
+from irlos_pipe.estimate.lift import defocus_slopes, lift, optics_sigma_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 

@@ -23,12 +23,13 @@ from irlos_pipe.effects.focus_stage import (
 )
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import Layout
-from irlos_pipe.estimate.lift import image_problem, smooth
-from irlos_pipe.estimate.lift_errors import (
+from irlos_pipe.estimate.lift import (
     FrameErrors,
     excess_scatter_nm,
+    image_problem,
     instant_error_nm,
     nominal_frame_chi2,
+    smooth,
 )
 from irlos_pipe.estimate.ramp import fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import SharedFit, fit_shared, ramp_effects

@@ -11,8 +11,8 @@ import torch
 from helpers import optics_cases as cases
 from irlos_pipe.control.exposures import Accumulator, Exposure, Read
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.focus.sensor import Focus, Limits
-from irlos_pipe.estimate.lift_errors import FrameErrors
+from irlos_pipe.estimate.focus import Focus, Limits
+from irlos_pipe.estimate.lift import FrameErrors
 from irlos_pipe.focus.calibration import Calibration, SharedErrors
 from irlos_pipe.focus.journal import Record
 from irlos_pipe.focus.service import FocusLoop, LoopSettings, Service

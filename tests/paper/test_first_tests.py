@@ -63,8 +63,7 @@ def result(defocus, chi2, converged) -> LiftResult:
     values[:, 2] = torch.tensor(defocus)
     status = ["converged" if one else "stalled" for one in converged]
     solution = Solution(values, torch.zeros(count, 3, 3), status, torch.ones(count), torch.zeros(count))
-    rest = (torch.zeros(count), torch.tensor(chi2))
-    return LiftResult((2, 3, 4), values, torch.zeros(count, 3, 3), solution, *rest)
+    return LiftResult((2, 3, 4), solution, torch.zeros(count), torch.tensor(chi2))
 
 
 def test_a_minimum_is_wrong_when_another_start_found_a_better_one_elsewhere():

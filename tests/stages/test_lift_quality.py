@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.estimate.correction import modal_offsets
-from irlos_pipe.estimate.lift_errors import FrameErrors
+from irlos_pipe.estimate.lift import FrameErrors
 from irlos_pipe.estimate.ramp import RampSummary, summarise
 from irlos_pipe.stages.correct import sign_text
 from irlos_pipe.stages.lift.stage import Config

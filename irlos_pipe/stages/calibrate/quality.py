@@ -22,8 +22,7 @@ from irlos_pipe.estimate.causes import (
     improbable_diversity,
 )
 from irlos_pipe.estimate.cube import CLEAR, LEAST_FRAMES, Motion
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.methods import Fit
+from irlos_pipe.estimate.image_fit import Fit, ImageFit
 from irlos_pipe.estimate.score_test import Mirrored
 from irlos_pipe.frames.told import (
     BEYOND,
@@ -300,7 +299,7 @@ def _asked(
 ) -> tuple[ImageFit, torch.Tensor, Asked]:
     """The fit of a result, its optimum, and what else is known to those who look for causes."""
     assert result.fit is not None
-    problem, x, settings = result.fit[0], result.fit[1].values[:1], conditions.settings
+    problem, x, settings = result.fit.problem, result.fit.x, conditions.settings
     # of few frames that misfit, the fit has weights other than those of the reported χ²
     nominal = result.nominal.value * float(problem.reduced_chi2(x)[0]) / result.chi2_nu
     expected = cutoff_per_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)

@@ -19,8 +19,8 @@ from irlos_pipe.effects.declaration import Conditions
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.wavefront import BROAD_NM, ChromaticNcpa, FilterNcpa, HighOrderNcpa
 from irlos_pipe.estimate.calibration_options import LiftOptions, NcpaPrior
-from irlos_pipe.estimate.focus.sensor import NOLLS, Focus, Limits, lift_singly
-from irlos_pipe.estimate.lift_errors import FrameErrors
+from irlos_pipe.estimate.focus import NOLLS, Focus, Limits, lift_singly
+from irlos_pipe.estimate.lift import FrameErrors
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel

@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.calibration_errors import KEPT_SIGMA, widening
-from irlos_pipe.estimate.lift_errors import (
+from irlos_pipe.estimate.lift import (
     FrameErrors,
     excess_scatter_nm,
     instant_error_nm,
