@@ -241,9 +241,9 @@ class Stage(Protocol):
         ...
 
 
-def run_of(module: str) -> Callable[[StageContext[Any]], StageOutput]:
-    """Return the function `run` of a `module` that is imported when the stage runs, as for PyTorch."""
-    return lambda ctx: import_module(module).run(ctx)
+def late(module: str, name: str = "run") -> Callable[..., Any]:
+    """Return the function `name` of a `module` that is imported when it is called, as for PyTorch."""
+    return lambda *given: getattr(import_module(module), name)(*given)
 
 
 def declared_by(stage: Stage, name: str) -> Any:

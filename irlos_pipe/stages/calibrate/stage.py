@@ -34,7 +34,7 @@ from irlos_pipe.product.results import (
     item,
     results_of,
 )
-from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, late
 from irlos_pipe.stages.model.groups import (
     by_setup,
     of_several_setups,
@@ -330,7 +330,7 @@ class CalibrateResults(Estimate, StageResults):
 
 
 Results = CalibrateResults
-run = run_of("irlos_pipe.stages.calibrate.work")
+run = late("irlos_pipe.stages.calibrate.work")
 
 
 def require(declared: Declared[Config]) -> None:

@@ -29,7 +29,13 @@ from irlos_pipe.product.results import Observed
 from irlos_pipe.readers.acquisition import RawRecording, Resolved
 from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.ingest.sources import accumulated, failing_alone, read_sources, with_darks
+from irlos_pipe.stages.ingest.sources import (
+    accumulated,
+    as_declared,
+    failing_alone,
+    read_sources,
+    with_darks,
+)
 from irlos_pipe.stages.ingest.stage import (
     RECORDING,
     Config,
@@ -108,9 +114,12 @@ def ingest(source: Resolved, config: Config, instrument: Instrument) -> tuple[Re
     `config` limits pixels and frames, `instrument` gives the diameter of the pupil. Raises `InputDataError`
     if none of its frames can be used, all are the same image, or the noise of a single one is not known.
     """
-    _require_room(source)
+    frames, rows, columns = source.raw.adu.shape
+    where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
+    require_memory(
+        _needed_bytes(source), where, InputDataError, "cut the window, or the recording into parts"
+    )
     if time_is_last(source.raw.adu):
-        frames, rows, columns = source.raw.adu.shape
         raise InputDataError(
             f"{source.raw.path}: of its axes ({frames}, {rows}, {columns}) the last seems to be that of the "
             "frames, for the star stands still along it; write the cube with axes (frames, y, x)"
@@ -130,13 +139,6 @@ def ingest(source: Resolved, config: Config, instrument: Instrument) -> tuple[Re
             "and read-out together)"
         )
     return _recording(source, cleaned), cleaned
-
-
-def _require_room(source: Resolved) -> None:
-    frames, rows, columns = source.raw.adu.shape
-    where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
-    advice = "cut the window, or the recording into parts"
-    require_memory(_needed_bytes(source), where, InputDataError, advice)
 
 
 def _needed_bytes(source: Resolved) -> float:
@@ -179,21 +181,17 @@ def _step_s(raw: RawRecording) -> float:
 def _recording(source: Resolved, cleaned: Cleaned) -> Recording:
     raw, acquisition = source.raw, source.acquisition
     detector = replace(acquisition.detector, saturation_adu=cleaned.saturation_adu)
-    return Recording(
-        name=raw.name,
-        input=source.input,
+    return replace(
+        as_declared(source),
         images_e=cleaned.images_e,
         used=cleaned.used,
         reason=cleaned.reasons,
         good=cleaned.good,
         time_s=relative_times(raw.unix_s, raw.frame_counter, acquisition.frame_rate_hz),
-        frame_counter=raw.frame_counter,
-        introduced_defocus_nm=source.introduced_defocus_nm,
         acquisition=replace(acquisition, detector=detector),
         background_variance_e2=cleaned.background_variance_e2,
         dark_variance_e2=cleaned.dark_variance_e2,
         frames_missing=frames_missing(raw.frame_counter),
-        start_unix_s=raw.start_unix_s,
     )
 
 

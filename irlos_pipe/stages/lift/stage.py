@@ -12,7 +12,7 @@ from irlos_pipe.estimate.calibration_options import LiftOptions, NoiseSource
 from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
-from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, late
 from irlos_pipe.stages.model.groups import require_line, require_parts, require_ramp
 
 VERSION = 19
@@ -236,7 +236,7 @@ class LiftResults(StageResults):
 
 
 Results = LiftResults
-run = run_of("irlos_pipe.stages.lift.work")
+run = late("irlos_pipe.stages.lift.work")
 
 
 def require(declared: Declared[Config]) -> None:
