@@ -52,6 +52,12 @@ class ResultsPart(BaseModel):
         plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in values.items()}
         return cls(**plain | own)
 
+    @classmethod
+    def rows(cls, **columns: Any) -> list[Self]:
+        """Return one for each value of the `columns`, lists or arrays of one length."""
+        plain = [one.tolist() if isinstance(one, np.ndarray) else one for one in columns.values()]
+        return [cls(**dict(zip(columns, row, strict=True))) for row in zip(*plain, strict=True)]
+
     def as_json(self) -> dict[str, Any]:
         """Return the keys that were set, in the types of JSON."""
         return jsonable(self.model_dump(exclude_unset=True, by_alias=True))

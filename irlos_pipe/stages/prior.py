@@ -85,17 +85,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     )
     ratio, defocus_nm = np.concatenate(ratios), np.concatenate([law.defocus_nm(one) for one in ratios])
     introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
-    frames = [(one.name, frame) for one in recordings for frame in range(one.frames)]
-    results = PriorResults.filled_from(
-        law,
-        law_residual_nm=law.residual_nm,
-        estimates=[
-            DefocusPrior(name=name, frame=frame, introduced_nm=introduced, defocus_nm=value)
-            for (name, frame), introduced, value in zip(
-                frames, introduced_nm.tolist(), defocus_nm.tolist(), strict=True
-            )
-        ],
+    estimates = DefocusPrior.rows(
+        name=[one.name for one in recordings for _ in range(one.frames)],
+        frame=[frame for one in recordings for frame in range(one.frames)],
+        introduced_nm=introduced_nm,
+        defocus_nm=defocus_nm,
     )
+    results = PriorResults.filled_from(law, law_residual_nm=law.residual_nm, estimates=estimates)
     failed = float(np.mean(~np.isfinite(ratio)))
     message = f"{failed:.0%} of the Gaussian fits did not converge"
     low, high = law.valid_nm

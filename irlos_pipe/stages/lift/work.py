@@ -75,15 +75,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         if text:
             ctx.log.warning(text)
     converged = float(fit.result.solution.converged.double().mean())
-    rows = zip(
-        summary.offsets_nm.tolist(), summary.median_nm.tolist(), summary.scatter_nm.tolist(), strict=True
-    )
     results = LiftResults(
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
         points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
         summary=summary,
-        offsets=[Offset(introduced_nm=o, median_nm=m, scatter_nm=s) for o, m, s in rows],
+        offsets=Offset.rows(
+            introduced_nm=summary.offsets_nm, median_nm=summary.median_nm, scatter_nm=summary.scatter_nm
+        ),
         effects=fit.effects | focus.effects,
         effects_sigma=fit.sigma | focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
@@ -310,26 +309,23 @@ def _points(
     offset_nm: float,
 ) -> list[Point]:
     """One row per frame, as results.json has them."""
-    defocus, photon = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
-    return [
-        Point(
-            name=name,
-            frame=ramp.frame[i],
-            introduced_nm=float(ramp.data.introduced_nm[i]),
-            commanded_nm=float(ramp.commanded_nm[i]),
-            defocus_nm=defocus[i],
-            sigma_nm=float(sigma_nm[i]),
-            sigma_photon_nm=photon[i],
-            sigma_optics_nm=float(optics_nm[i]),
-            sigma_offset_nm=offset_nm,
-            sigma_instant_nm=errors.instant_nm,
-            converged=fit.result.solution.status[i] == "converged",
-            status=fit.result.solution.status[i],
-            chi2_nu=float(fit.result.chi2_nu[i]),
-            zernike_nm=dict(zip(fit.result.nolls, fit.result.zernike_nm[i].tolist(), strict=True)),
-        )
-        for i, name in enumerate(ramp.names)
-    ]
+    result, count = fit.result, len(ramp.names)
+    return Point.rows(
+        name=ramp.names,
+        frame=ramp.frame,
+        introduced_nm=ramp.data.introduced_nm,
+        commanded_nm=ramp.commanded_nm,
+        defocus_nm=fit.defocus_nm,
+        sigma_nm=sigma_nm,
+        sigma_photon_nm=result.mode(4)[1].tolist(),
+        sigma_optics_nm=optics_nm,
+        sigma_offset_nm=[offset_nm] * count,
+        sigma_instant_nm=[errors.instant_nm] * count,
+        converged=[status == "converged" for status in result.solution.status],
+        status=result.solution.status,
+        chi2_nu=result.chi2_nu.tolist(),
+        zernike_nm=[dict(zip(result.nolls, one, strict=True)) for one in result.zernike_nm.tolist()],
+    )
 
 
 def _arrays(
