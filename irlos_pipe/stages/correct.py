@@ -23,7 +23,7 @@ from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
 from irlos_pipe.product.product import Check, Product, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Card, Column, Table
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput, refused
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import recordings_from_product
 from irlos_pipe.stages.model.groups import turned_angles
@@ -346,10 +346,8 @@ def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
         np.asarray(arrays[name].value) for name in ("noll", "zernike_nm", "covariance_nm2")
     )
     lit = clear_pupil(ctx.instrument.pupil, maps_nm.shape[-1])
-    try:
+    with refused(InputDataError, str(path)):
         found = mirror_offsets(maps_nm, nolls.tolist(), zernike_nm, covariance_nm2, lit, ctx.config.gain)
-    except ValueError as problem:
-        raise InputDataError(f"{path}: {problem}") from None
     table = _mirror_table(named, ctx.config.gain, found)
     row = MirrorRow.filled_from(found, modes=len(found.value), offset=found.value.tolist())
     line = (
@@ -387,13 +385,10 @@ def _read_modes(path: Path) -> np.ndarray:
 
     n samples lie across the diameter of the pupil, as pixels across a window; row index is y.
     """
-    try:
+    with refused(InputDataError, str(path), "; modes are a cube of n × n maps across the pupil"):
         maps, _ = first_image(path)
-    except ValueError as error:
-        raise InputDataError(f"{path}: {error}; modes are a cube of n × n maps across the pupil") from None
-    if maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
-        found = " × ".join(map(str, maps.shape))
-        raise InputDataError(f"{path}: an image of {found}; modes are a cube of n × n maps across the pupil")
+        if maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
+            raise ValueError(f"an image of {' × '.join(map(str, maps.shape))}")
     count, samples = maps.shape[:2]
     if not (LEAST_SAMPLES <= samples <= MOST_SAMPLES and 1 <= count <= MOST_MODES):
         raise InputDataError(

@@ -371,10 +371,8 @@ def _on_ramp(ctx: StageContext[Config]) -> tuple[StageOutput, list[dict[str, Any
     held_out = frames_held_out(ramp.commanded_nm, every)
     ctx, lens, fit = _preferred_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
     estimated = fit.defocus_nm if lens and fit else np.asarray(lift.arrays["defocus_nm"].value, float)
-    try:
+    with ramp.refused():
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
-    except ValueError as problem:
-        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
     if lens and not lens.comparison.complete:  # the stage is not to blame for errors of the model
         result = replace(result, names=[], nearest=result.names or result.nearest)
     corrected = result.introduced_nm(ramp.commanded_nm)

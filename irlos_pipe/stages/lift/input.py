@@ -5,12 +5,13 @@ Frames are fitted as the stage's settings ask for it: jointly, or as the focus l
 
 import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects import Effect, expected
 from irlos_pipe.effects.base import labels_of
@@ -29,7 +30,7 @@ from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.product.results import Observed, results_of
-from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.base import StageContext, refused
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import IngestResults
 from irlos_pipe.stages.lift.stage import OWN, Config, size_nm_of
@@ -62,6 +63,10 @@ class Ramp:
     def acquisition(self) -> Acquisition:
         """How the ramp was taken."""
         return self.recordings[0].acquisition
+
+    def refused(self) -> AbstractContextManager[None]:
+        """Return the context in which a `ValueError` is an `InputDataError` of the ramp."""
+        return refused(InputDataError, f"ramp of {len(self.recordings)} recordings")
 
 
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
@@ -327,10 +332,8 @@ def focus_sensor(
 
     Raises `ConfigurationError` if the images of such a model cannot be tabulated.
     """
-    try:
+    with refused(ConfigurationError, "single frames cannot be measured with this model"):
         return Focus(model, good, noise, limits or Limits())
-    except ValueError as problem:
-        raise ConfigurationError(f"single frames cannot be measured with this model: {problem}") from None
 
 
 def _fit_singly(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:

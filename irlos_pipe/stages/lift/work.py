@@ -16,7 +16,7 @@ from irlos_pipe.estimate.lift_errors import (
     nominal_frame_chi2,
     optics_sigma_nm,
 )
-from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise, summarise_one_offset
+from irlos_pipe.estimate.ramp import RampSummary, fit_focus_stage, summarise, summarise_one_offset
 from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.estimate.tabulated import FocusCurve, focus_curve
 from irlos_pipe.product.product import Check, Quantity, declared
@@ -55,15 +55,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         )
     ramp = read_ramp(ctx, ctx.config.input)
     fit = _fitted(ctx, ramp)
-    focus = _focus_stage(ctx, ramp, fit)
+    effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
+    with ramp.refused():  # what the focus stage really did, as far as the recipe's model says that it may err
+        focus = fit_focus_stage([e for e in effects if e.plane == "ramp"], ramp.commanded_nm, fit.defocus_nm)
     ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp, fit) if ctx.config.compare else {}
-    typical = _typical(fit) if ctx.config.compare else None
-    curve, data = None, ramp.data
-    if typical is not None:
-        modes_nm = fit.result.zernike_nm[typical]
-        curve = focus_curve(fit.model, data.images_e[typical], data.good, data.noise, modes_nm)
+    twin, curve = _twin(ramp, fit) if ctx.config.compare else (Twin(), None)
     errors, photon_nm = _frame_errors(ramp, fit), fit.result.mode(4)[1].numpy()
     optics_nm = _optics_nm(ctx, ramp, fit)
     of_optics_nm = float(np.nanmedian(optics_nm))
@@ -87,7 +85,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         effects_sigma=fit.sigma | focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
         compare=others,
-        twin=_twin(ramp, typical, curve),
+        twin=twin,
         ao_defocus_nm=excess_scatter_nm(ramp.data.introduced_nm, fit.defocus_nm, photon_nm),
         chi2_nu=errors.chi2_nu,
         nominal_chi2_nu=errors.nominal_chi2_nu,
@@ -158,16 +156,6 @@ def _optics_nm(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> np.ndarra
     return optics_sigma_nm(fit.model, fit.result, ramp.data.good, ramp.data.noise, nolls, covariance_nm2)
 
 
-def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
-    """What the focus stage really did, as far as the recipe's model says that it may err."""
-    effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
-    ramp_effects = [effect for effect in effects if effect.plane == "ramp"]
-    try:
-        return fit_focus_stage(ramp_effects, ramp.commanded_nm, fit.defocus_nm)
-    except ValueError as problem:
-        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
-
-
 def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str, RampSummary]:
     """Estimate the same ramp without NCPAs and without the AO residual, all else as the `fit` has it."""
     config, found = ctx.config, {}
@@ -180,20 +168,24 @@ def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str
     return {name: _summarise(ramp, fit) for name, fit in found.items()}
 
 
-def _typical(fit: RampFit) -> int | None:
-    """Number of the frame with the median χ²/ν; None without a valid fit."""
+def _twin(ramp: Ramp, fit: RampFit) -> tuple[Twin, FocusCurve | None]:
+    """Whether the frame with the median χ²/ν excludes its twin; no curve without a valid fit."""
     chi2_nu = np.where(np.isfinite(fit.defocus_nm), fit.result.chi2_nu.numpy(), np.nan)
     order = np.argsort(chi2_nu)[: int(np.isfinite(chi2_nu).sum())]
-    return int(order[len(order) // 2]) if len(order) else None
+    if len(order) == 0:
+        return Twin(), None
+    data, typical = ramp.data, int(order[len(order) // 2])
+    modes_nm = fit.result.zernike_nm[typical]
+    curve = focus_curve(fit.model, data.images_e[typical], data.good, data.noise, modes_nm)
+    own = {"name": ramp.names[typical], "frame": ramp.frame[typical]}
+    best = {"defocus_nm": curve.best_nm, "chi2_nu": curve.best_chi2_nu}
+    return Twin.filled_from(curve, **own, **best), curve
 
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
-    try:
-        if not is_ramp(ramp.recordings):
-            return summarise_one_offset(ramp.data.introduced_nm, fit.defocus_nm)
-        return summarise(ramp.data.introduced_nm, fit.defocus_nm)
-    except ValueError as problem:
-        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
+    with ramp.refused():
+        of_kind = summarise if is_ramp(ramp.recordings) else summarise_one_offset
+        return of_kind(ramp.data.introduced_nm, fit.defocus_nm)
 
 
 # -- quality control: what a ramp says against itself, and the likely reasons ------------------------
@@ -354,18 +346,6 @@ def _arrays(
     return declared(ARRAYS, values)
 
 
-def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:
-    if frame is None or curve is None:
-        return Twin()
-    return Twin.filled_from(
-        curve,
-        name=ramp.names[frame],
-        frame=ramp.frame[frame],
-        defocus_nm=curve.best_nm,
-        chi2_nu=curve.best_chi2_nu,
-    )
-
-
 def _lines(
     ctx: StageContext[Config], fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
 ) -> list[str]:
@@ -381,8 +361,5 @@ def _lines(
         f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
     ]
     lines += [f"  {own}"] if (own := own_text(fit.effects)) else []
-    lines += [
-        f"  {name}: slope {other.slope:.4f}, error {other.rms_nm:.1f} nm RMS"
-        for name, other in others.items()
-    ]
-    return lines
+    slopes = {name: f"slope {one.slope:.4f}, error {one.rms_nm:.1f} nm RMS" for name, one in others.items()}
+    return lines + [f"  {name}: {text}" for name, text in slopes.items()]
