@@ -523,6 +523,4 @@ def _preferred_lens(
 
 def _fitted(ctx: StageContext, ramp: Ramp, held_out: np.ndarray) -> RampFit:
     """LIFT as it was asked for; what all frames share comes from the frames that are not held out."""
-    config = LiftConfig(**ctx.products["lift"].config)
-    lift = replace(ctx, config=config)
-    return fit_frames(lift, ramp, calibrated=config.calibrated, halo=config.halo, seen=~held_out)
+    return fit_frames(replace(ctx, config=LiftConfig(**ctx.products["lift"].config)), ramp, seen=~held_out)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -103,17 +102,16 @@ def _fitted(ctx: StageContext[Config], ramp: Ramp) -> RampFit:
     """The ramp with the calibrated wavefront, or jointly with one of its own light."""
     config = ctx.config
     own = config.own_wavefront != "never" and has_other_light(ctx, ramp.acquisition)
-    fit_with = partial(fit_frames, ctx, ramp, calibrated=config.calibrated, halo=config.halo)
     if own and config.own_wavefront == "always":
-        return fit_with(own_wavefront=True)
-    fit = fit_with()
+        return fit_frames(ctx, ramp, own_wavefront=True)
+    fit = fit_frames(ctx, ramp)
     errors = _frame_errors(ramp, fit)
-    if not own or not misfits(config, errors):
+    if not own or _misfit(config, errors).passed:
         return fit
     ctx.log.info(
         "median χ²/ν of the frames is %.2f: a wavefront of the ramp's own light is fitted", errors.chi2_nu
     )
-    other = fit_with(own_wavefront=True)
+    other = fit_frames(ctx, ramp, own_wavefront=True)
     return other if explains(errors, _frame_errors(ramp, other)) else fit
 
 
@@ -158,14 +156,12 @@ def _optics_nm(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> np.ndarra
 
 def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str, RampSummary]:
     """Estimate the same ramp without NCPAs and without the AO residual, all else as the `fit` has it."""
-    config, found = ctx.config, {}
-    if config.calibrated:
-        found[WITHOUT_NCPAS] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo, after=fit)
-    if config.halo != "off" and ctx.model.effects:
-        found["without AO residual"] = fit_frames(
-            ctx, ramp, calibrated=config.calibrated, halo="off", after=fit
-        )
-    return {name: _summarise(ramp, fit) for name, fit in found.items()}
+    left_out = {WITHOUT_NCPAS: {"calibrated": False}} if ctx.config.calibrated else {}
+    if ctx.config.halo != "off" and ctx.model.effects:
+        left_out["without AO residual"] = {"halo": "off"}
+    others = {name: ctx.config.model_copy(update=one) for name, one in left_out.items()}
+    found = {name: fit_frames(replace(ctx, config=one), ramp, after=fit) for name, one in others.items()}
+    return {name: _summarise(ramp, other) for name, other in found.items()}
 
 
 def _twin(ramp: Ramp, fit: RampFit) -> tuple[Twin, FocusCurve | None]:
@@ -262,11 +258,6 @@ def _error(config: Config, summary: RampSummary) -> Check:
     if abs(summary.offset_nm) > 0.7 * summary.rms_nm:
         return check.because(CONSTANT)
     return check.because(TURNED if summary.slope < 0 else SCALED)
-
-
-def misfits(config: Config, errors: FrameErrors) -> bool:
-    """Return whether χ²/ν of the frames, in `errors`, is above its limit in `config`."""
-    return not _misfit(config, errors).passed
 
 
 def _misfit(config: Config, errors: FrameErrors) -> Check:
