@@ -45,11 +45,14 @@ class ResultsPart(BaseModel):
     )
 
     @classmethod
-    def filled_from(cls, source: object, **own: Any) -> Self:
-        """Return what `source` calls by the names of the fields, arrays as lists, and the `own` values."""
-        names = [name for name in cls.model_fields if name not in own and hasattr(source, name)]
-        values = {name: getattr(source, name) for name in names}
-        plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in values.items()}
+    def filled_from(cls, *sources: object, **own: Any) -> Self:
+        """Return what `sources`, the first before others, call by names of fields, and the `own` values.
+
+        Arrays become lists.
+        """
+        names = [name for name in cls.model_fields if name not in own]
+        found = {name: getattr(one, name) for one in sources[::-1] for name in names if hasattr(one, name)}
+        plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in found.items()}
         return cls(**plain | own)
 
     @classmethod

@@ -289,10 +289,8 @@ def _noises_of(
     faint = recorded if told is None else told.beyond(recorded)
     one_read = recorded if told is None else NoiseModel(1.0, told.read_noise_e**2)
     row = NoiseRow.filled_from(
-        told,
-        excess_noise_factor=faint.excess_noise_factor,
+        *(faint, told),
         exposure_s=ramp.acquisition.exposure_s or math.nan,
-        floor_e2=faint.floor_e2,
         one_read_floor_e2=one_read.floor_e2,
     )
     return faint, one_read, row

@@ -222,20 +222,14 @@ def _found_bad(recording: Recording, raw: RawRecording) -> np.ndarray:
 
 
 def _row(
-    recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told] = (), instrument: str = ""
+    recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told], instrument: str
 ) -> RecordingRow:
     """Return the entry of a `recording` in the results."""
     acquisition, background, noise = recording.acquisition, cleaned.background, cleaned.noise
     return RecordingRow.filled_from(
-        recording,
-        role=acquisition.role,
-        layout=raw.layout,
-        mode=raw.mode,
-        frames=raw.frames,
-        window=raw.window,
+        *(recording, raw, acquisition, background, noise),
         frames_rejected=int(np.sum(~recording.used)),
         flux_e=_flux_e(recording),
-        mag_j=acquisition.mag_j,
         reasons=tally(recording.reason),
         saturated_frames=int(np.sum(recording.reason == SATURATED)),
         bad_pixels=np.argwhere(~recording.good).tolist(),
@@ -243,20 +237,16 @@ def _row(
         clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
         cosmic_hits=int(cleaned.hits.frame.size),
         centre_offset_px=_centre_offset_px(recording),
-        pedestal_adu=background.pedestal_adu,
-        pedestal_error_adu=background.pedestal_error_adu,
         noise_floor_e2=noise.floor_e2,
         excess_noise_measured=noise.excess_noise_factor,
         noise=constants(acquisition.detector, acquisition.sources, noise),
-        corner_scatter_e=noise.corner_scatter_e,
-        sources=acquisition.sources,
         observed=Observed.filled_from(
-            recording.acquisition,
+            acquisition,
             file=raw.path.name,
             start=iso_time(recording.start_unix_s),
             cards=dict(raw.cards),
             instrument=instrument,
-            diversity_nm=recording.acquisition.diversity,
+            diversity_nm=acquisition.diversity,
         ),
         doubts=[one.text for one in told if one.warned],
     )
@@ -284,12 +274,7 @@ def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
 def _dark_row(source: Resolved) -> RecordingRow:
     """Return the entry of a dark recording, which has no star."""
     none = {"frames_rejected": 0, "frames_missing": 0, "flux_e": None, "mag_j": None}
-    return RecordingRow(
-        input=source.input,
-        role="dark",
-        **{key: getattr(source.raw, key) for key in ("name", "layout", "mode", "frames", "window")},
-        **none,
-    )
+    return RecordingRow.filled_from(source.raw, input=source.input, role="dark", **none)
 
 
 def _centre_offset_px(recording: Recording) -> tuple[float, float]:
