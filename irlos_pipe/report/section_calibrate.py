@@ -16,31 +16,29 @@ from irlos_pipe.optics.wavefront import opd_sigma_nm
 from irlos_pipe.optics.zernike import noll_to_nm
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text, Views, shown
-from irlos_pipe.report.curves import (
-    FEWEST,
-    PREDICTED,
-    Look,
-    energy_figure,
-    otf_figure,
-    power_figure,
-    profile_plot,
-    quantile_figure,
-    star_profile,
-)
 from irlos_pipe.report.drawing import (
     BESIDE,
     BLUE,
     CYCLE,
     FAINT,
+    FEWEST,
     GREEN,
     INK,
     MARKERS,
     ORANGE,
+    PREDICTED,
     SIZE_IN,
+    Look,
+    energy_figure,
     figure,
     log_y,
+    otf_figure,
     plot,
+    power_figure,
     power_of_ten,
+    profile_plot,
+    quantile_figure,
+    star_profile,
 )
 from irlos_pipe.report.images import (
     BRIGHTNESS,
@@ -57,8 +55,17 @@ from irlos_pipe.report.images import (
 )
 from irlos_pipe.report.run_data import RunData, StageData, frame_times
 from irlos_pipe.report.section_lift import effects_table, image_strip, residual_limit
-from irlos_pipe.report.section_run import advice, applicable, effect_link
-from irlos_pipe.report.text import MISSING, is_known, mode_label, mode_name, number, plural, with_error
+from irlos_pipe.report.section_run import advice, applicable
+from irlos_pipe.report.text import (
+    MISSING,
+    effect_link,
+    is_known,
+    mode_label,
+    mode_name,
+    number,
+    plural,
+    with_error,
+)
 from irlos_pipe.stages.calibrate.stage import CalibrateResults, Estimate
 from irlos_pipe.stages.correct import CorrectResults
 

@@ -14,16 +14,20 @@ from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.recording import star_position
 from irlos_pipe.report.content import Block, Figure, KeyNumber, Section, Stack, Table, Text, Width, shown
-from irlos_pipe.report.curves import (
+from irlos_pipe.report.drawing import (
     BEFORE_AFTER,
+    BLUE,
     DIAGNOSED,
+    GREEN,
+    INK,
+    ORANGE,
     energy_figure,
     otf_figure,
     power_figure,
     quantile_figure,
     star_profile,
+    svg,
 )
-from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import (
     PERCENTILE,
     SIGNED,

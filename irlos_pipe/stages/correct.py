@@ -297,25 +297,14 @@ def _predict(
     effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
     settings = psf_settings(ctx.instrument, ctx.model, recording)
     fitted_nm = np.array(product.arrays["modes_nm"].value, float)
-    gain = np.where(np.array(nolls) <= ctx.config.highest_noll, ctx.config.gain, 0.0)
-    prediction = predict_correction(
-        settings,
-        nolls,
-        fitted_nm,
-        zernike_nm,
-        gain,
-        list(effects.values()),
-    )
-    parts = _parts(nolls, prediction.modes_before_nm, ctx.config.highest_noll)
+    highest_noll = ctx.config.highest_noll
+    corrected = np.array(nolls) <= highest_noll
+    gain, in_model = np.where(corrected, ctx.config.gain, 0.0), list(effects.values())
+    prediction = predict_correction(settings, nolls, fitted_nm, zernike_nm, gain, in_model)
+    parts = {f"Noll 4–{highest_noll}": np.where(corrected, prediction.modes_before_nm, 0.0)}
+    beyond = {f"Noll {highest_noll + 1}–{nolls[-1]}": np.where(corrected, 0.0, prediction.modes_before_nm)}
+    parts |= {} if corrected.all() else beyond
     return prediction, strehl_budget(settings, nolls, parts, effects)
-
-
-def _parts(nolls: list[int], modes_nm: np.ndarray, highest_noll: int) -> dict[str, np.ndarray]:
-    """The modes that are corrected, and those beyond, where there are any."""
-    first = np.array(nolls) <= highest_noll
-    parts = {f"Noll 4–{highest_noll}": np.where(first, modes_nm, 0.0)}
-    beyond = {f"Noll {highest_noll + 1}–{nolls[-1]}": np.where(first, 0.0, modes_nm)}
-    return parts | ({} if first.all() else beyond)
 
 
 def _arrays(offsets: Offsets, prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
