@@ -343,7 +343,7 @@ def sensitivity_section(run: RunData) -> Section:
 
 
 def _curves(of: Sensitivity) -> Figure:
-    curves = [(curve_label(row), row) for row in of.results.curves]
+    curves = [(row.label, row) for row in of.results.curves]
     drawing = sensitivity_plot("sensitivity", curves, of.results.criterion)
     return Figure(drawing, "Defocus error against magnitude", CAPTION)
 
@@ -395,11 +395,6 @@ def noise_text(noise: NoiseRow) -> str:
         return ""
     sky = number(noise.sky_e, ".2g", "e⁻/px of sky")
     return f"{sky}, {plural(noise.reads, 'read')} of {number(noise.read_noise_e, '.2g', 'e⁻')}"
-
-
-def curve_label(row: CurveRow) -> str:
-    """Return how the frames of a curve were estimated."""
-    return f"{'with' if row.calibrated else 'without'} NCPAs, {len(row.modes)} modes"
 
 
 def limit_text(row: CurveRow) -> str:

@@ -25,7 +25,7 @@ from irlos_pipe.report.drawing import BLUE, MANY, ORANGE, figure
 from irlos_pipe.report.images import MANY_DIGITS, thumbnail
 from irlos_pipe.report.run_data import RunData, frame_times
 from irlos_pipe.report.section_diagnose import verdict_numbers
-from irlos_pipe.report.section_lift import curve_label, limit_text, noise_text
+from irlos_pipe.report.section_lift import limit_text, noise_text
 from irlos_pipe.report.text import MEANING, MISSING, is_known, number, plural, rounded_by_error, with_error
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
@@ -176,7 +176,7 @@ def _key_numbers(run: RunData) -> Iterator[KeyNumber]:
     yield KeyNumber("Ramp error", number(line.rms_nm, ".1f", "nm RMS"), note, key="lift.summary.rms_nm")
     for curve in sensitivity.curves[:1]:
         limit = f"{limit_text(curve)} mag" if math.isfinite(curve.limit_mag) else "not reached"
-        note = "; ".join(filter(None, [f"J, {curve_label(curve)}", noise_text(sensitivity.noise)]))
+        note = "; ".join(filter(None, [f"J, {curve.label}", noise_text(sensitivity.noise)]))
         yield KeyNumber("Limiting magnitude", limit, note, key="sensitivity.curves.limit_mag")
     yield from _strehl(run.results(CorrectResults), not applicable(run))
     yield from _sky(calibration)

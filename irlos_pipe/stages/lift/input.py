@@ -21,7 +21,6 @@ from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.wavefront import BROAD_NM, ChromaticNcpa, FilterNcpa, HighOrderNcpa
 from irlos_pipe.estimate.calibration_options import LiftOptions, NcpaPrior
 from irlos_pipe.estimate.focus.sensor import NOLLS, Focus, Limits, lift_singly
-from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
@@ -211,11 +210,6 @@ def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> lis
     broad = conditions.settings.span_nm > BROAD_NM
     own = [kind.under(conditions) for kind in OWN if broad or kind is not ChromaticNcpa]
     return [*effects, *(effect for effect in own if effect.name not in listed)]
-
-
-def explains(before: FrameErrors, after: FrameErrors) -> bool:
-    """Return whether a fit `after` explains what another one `before` it misses."""
-    return after.excess <= EXPLAINED * before.excess
 
 
 def older_text(fit: RampFit, calibration_nm: float) -> str:

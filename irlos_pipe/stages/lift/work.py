@@ -23,8 +23,8 @@ from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.lift.input import (
+    EXPLAINED,
     Ramp,
-    explains,
     fit_frames,
     has_other_light,
     older_text,
@@ -112,7 +112,7 @@ def _fitted(ctx: StageContext[Config], ramp: Ramp) -> RampFit:
         "median χ²/ν of the frames is %.2f: a wavefront of the ramp's own light is fitted", errors.chi2_nu
     )
     other = fit_frames(ctx, ramp, own_wavefront=True)
-    return other if explains(errors, _frame_errors(ramp, other)) else fit
+    return other if _frame_errors(ramp, other).excess <= EXPLAINED * errors.excess else fit
 
 
 def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:

@@ -245,14 +245,16 @@ def calibrated_effects(
     """
     conditions = conditions_of(instrument, model, recording, ncpa_wavelength_nm=ncpa_wavelength_nm)
     known: dict[str, FixedEffect] = {}
-    then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
+    # brightest pixel of the modelled mean image; the mean over cubes that were reduced one by one
+    models = [product.arrays[name].value for name in product.arrays if name.endswith("model_image_e")]
+    brightest_e = float(np.mean([np.max(image) for image in models])) if models else float("nan")
+    then = Calibrated(calibration_seeing_arcsec, brightest_e)
     entries = model.entries()
-    effects = [_effect(entry, conditions, recording.name) for entry in entries]
+    listed = labels_of([_effect(entry, conditions, recording.name) for entry in entries])
     found_too = {name.removeprefix("effects/") for name in product.arrays if name.startswith("effects/")}
-    kinds = sorted(kind_of(label) for label in found_too.difference(labels_of(effects)))
-    further = [EffectEntry.of(name) for name in kinds if CATALOGUE[name].instrumental]
-    entries += further
-    effects += [_effect(entry, conditions, recording.name) for entry in further]
+    kinds = sorted(kind_of(label) for label in found_too.difference(listed))
+    entries += [EffectEntry.of(name) for name in kinds if CATALOGUE[name].instrumental]
+    effects = [_effect(entry, conditions, recording.name) for entry in entries]
     for label, entry, effect in zip(labels_of(effects), entries, effects, strict=True):
         found: Effect | None = effect
         under = then
@@ -265,12 +267,6 @@ def calibrated_effects(
         if found is not None:
             known[label] = found.base.handed_on(found.all_values(()).numpy(), conditions, under)
     return known
-
-
-def _brightest_e(product: Product) -> float:
-    """Brightest pixel of the modelled mean image; the mean over cubes that were reduced one by one."""
-    models = [product.arrays[name].value for name in product.arrays if name.endswith("model_image_e")]
-    return float(np.mean([np.max(image) for image in models])) if models else float("nan")
 
 
 def _measured(product: Product, label: str, entry: EffectEntry, conditions: Conditions) -> Effect | None:
