@@ -46,10 +46,7 @@ class ResultsPart(BaseModel):
 
     @classmethod
     def filled_from(cls, *sources: object, **own: Any) -> Self:
-        """Return what `sources`, the first before others, call by names of fields, and the `own` values.
-
-        Arrays become lists.
-        """
+        """Return what the `sources`, first ones first, have of the fields, arrays as lists, and the `own`."""
         names = [name for name in cls.model_fields if name not in own]
         found = {name: getattr(one, name) for one in sources[::-1] for name in names if hasattr(one, name)}
         plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in found.items()}
