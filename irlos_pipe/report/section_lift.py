@@ -25,6 +25,7 @@ from irlos_pipe.report.drawing import (
     MANY,
     ORANGE,
     PURPLE,
+    figure,
     log_y,
     plot,
     svg,
@@ -40,7 +41,7 @@ from irlos_pipe.report.images import (
 )
 from irlos_pipe.report.run_data import RunData, StageData
 from irlos_pipe.report.text import MISSING, effect_link, is_known, number, parameter_rows, plural, with_error
-from irlos_pipe.stages.lift.stage import LiftResults, Point, Twin, own_text
+from irlos_pipe.stages.lift.stage import LiftResults, Twin, own_text
 from irlos_pipe.stages.prior import PriorResults
 from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
@@ -92,21 +93,17 @@ def lift_section(run: RunData) -> Section:
 
 
 def _ramp(of: Ramp) -> Figure | None:
+    """Estimated against introduced defocus with the 1:1 line, and their difference below."""
     points = [point for point in of.results.points if np.isfinite(point.introduced_nm)]
     if not points:
         return None
-    missing = sum(not np.isfinite(point.defocus_nm) for point in points)
-    lost = f" {plural(missing, 'frame')} without estimate." if missing else ""
-    return Figure(ramp_plot(points), "Ramp", f"{RAMP}{lost}", name="ramp")
-
-
-def ramp_plot(points: list[Point]) -> Markup:
-    """Draw estimated against introduced defocus with the 1:1 line, and their difference below."""
     names = ("introduced_nm", "defocus_nm", "sigma_nm", "converged")
     introduced, defocus, sigma, converged = (
         np.array([getattr(one, name) for one in points]) for name in names
     )
     direction, x = travel_direction(introduced).astype(int), _spread_out(introduced)
+    missing = int(np.sum(~np.isfinite(defocus)))
+    lost = f" {plural(missing, 'frame')} without estimate." if missing else ""
 
     def draw(canvas: Canvas) -> None:
         top, bottom = canvas.subplots(2, sharex=True, height_ratios=(3, 2))
@@ -126,7 +123,7 @@ def ramp_plot(points: list[Point]) -> Markup:
         canvas.legend(*top.get_legend_handles_labels(), **BESIDE["below"])
         bottom.set(xlabel="introduced defocus [nm RMS]", ylabel="estimated −\nintroduced [nm]")
 
-    return svg("ramp", (4.8, 4.8), draw)
+    return figure("ramp", (4.8, 4.8), draw, "Ramp", f"{RAMP}{lost}")
 
 
 def _spread_out(introduced_nm: np.ndarray) -> np.ndarray:
