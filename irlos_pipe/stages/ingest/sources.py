@@ -202,8 +202,9 @@ def _with_dark(source: Resolved, darks: Sequence[Resolved], log: logging.Logger)
             "%s: the dark %s is of %g s, the frames of %g s: its dark current is another",
             *(source.raw.name, nearest.raw.name, dark_s, own_s),
         )
-    dark = {"dark_adu": mean_frame(nearest.raw.adu), "dark_variance_adu2": mean_variance(nearest.raw.adu)}
-    return replace(source, raw=replace(source.raw, calibration=replace(source.raw.calibration, **dark)))
+    dark_adu, variance_adu2 = mean_frame(nearest.raw.adu), mean_variance(nearest.raw.adu)
+    maps = replace(source.raw.calibration, dark_adu=dark_adu, dark_variance_adu2=variance_adu2)
+    return replace(source, raw=replace(source.raw, calibration=maps))
 
 
 def _exposures_apart_s(one: Resolved, other: Resolved) -> float:

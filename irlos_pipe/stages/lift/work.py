@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -156,7 +157,9 @@ def _optics_nm(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> np.ndarra
 
 def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str, RampSummary]:
     """Estimate the same ramp without NCPAs and without the AO residual, all else as the `fit` has it."""
-    left_out = {WITHOUT_NCPAS: {"calibrated": False}} if ctx.config.calibrated else {}
+    left_out: dict[str, dict[str, Any]] = {}
+    if ctx.config.calibrated:
+        left_out[WITHOUT_NCPAS] = {"calibrated": False}
     if ctx.config.halo != "off" and ctx.model.effects:
         left_out["without AO residual"] = {"halo": "off"}
     others = {name: ctx.config.model_copy(update=one) for name, one in left_out.items()}
