@@ -78,7 +78,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             for line in (*_contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
             rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
-            quality += _checks(recording, told, ctx.config)
+            quality += _checks(rows[-1], told, ctx.config)
             arrays |= _arrays(recording, cleaned, source.raw)
     for name in ctx.inputs:
         if not any(row.input == name for row in rows):
@@ -226,17 +226,19 @@ def _row(
 ) -> RecordingRow:
     """Return the entry of a `recording` in the results."""
     acquisition, background, noise = recording.acquisition, cleaned.background, cleaned.noise
+    row_px, column_px = star_position(recording.mean_e)
+    window_rows, columns = recording.window
     return RecordingRow.filled_from(
         *(recording, raw, acquisition, background, noise),
         frames_rejected=int(np.sum(~recording.used)),
-        flux_e=_flux_e(recording),
+        flux_e=float(np.median(frame_flux(recording.images_e)[recording.used])),
         reasons=tally(recording.reason),
         saturated_frames=int(np.sum(recording.reason == SATURATED)),
         bad_pixels=np.argwhere(~recording.good).tolist(),
         bad_pixels_found=_found_bad(recording, raw).tolist(),
         clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
         cosmic_hits=int(cleaned.hits.frame.size),
-        centre_offset_px=_centre_offset_px(recording),
+        centre_offset_px=(column_px - (columns - 1) / 2, row_px - (window_rows - 1) / 2),
         noise_floor_e2=noise.floor_e2,
         excess_noise_measured=noise.excess_noise_factor,
         noise=constants(acquisition.detector, acquisition.sources, noise),
@@ -250,11 +252,6 @@ def _row(
         ),
         doubts=[one.text for one in told if one.warned],
     )
-
-
-def _flux_e(recording: Recording) -> float:
-    """Median over the used frames of their sum [e-]."""
-    return float(np.median(frame_flux(recording.images_e)[recording.used]))
 
 
 def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
@@ -277,38 +274,31 @@ def _dark_row(source: Resolved) -> RecordingRow:
     return RecordingRow.filled_from(source.raw, input=source.input, role="dark", **none)
 
 
-def _centre_offset_px(recording: Recording) -> tuple[float, float]:
-    """Return the position (x, y) of the star in the mean image against the window's centre [px]."""
-    row_px, column_px = star_position(recording.mean_e)
-    rows, columns = recording.window
-    return column_px - (columns - 1) / 2, row_px - (rows - 1) / 2
-
-
-def _checks(recording: Recording, told: Sequence[Told], config: Config) -> list[Check]:
-    """Return the QC checks of a `recording`, and of what was `told` of it, with the limits of `config`."""
+def _checks(row: RecordingRow, told: Sequence[Told], config: Config) -> list[Check]:
+    """Return the QC checks of a recording, and of what was `told` of it, with the limits of `config`."""
     wrong = [one.text for one in told if one.wrong]
     contradicted = "; ".join(wrong) or "nothing that was declared is contradicted by the frames beyond doubt"
-    saturated = np.mean(recording.reason == SATURATED)
-    missing = recording.frames_missing / (recording.frames + recording.frames_missing)
-    offset_px = np.hypot(*_centre_offset_px(recording))
-    reasons = ", ".join(f"{number} x {reason}" for reason, number in tally(recording.reason).items())
+    rejected, saturated = row.frames_rejected / row.frames, row.saturated_frames / row.frames
+    missing = row.frames_missing / (row.frames + row.frames_missing)
+    bad, offset_px = len(row.bad_pixels) / np.prod(row.window), np.hypot(*row.centre_offset_px)
+    reasons = ", ".join(f"{number} x {reason}" for reason, number in row.reasons.items())
     why = f"frames that are rejected ({reasons or 'none'})"
-    offset_limit_px = config.max_centre_offset_fraction * min(recording.window)
+    offset_limit_px = config.max_centre_offset_fraction * min(row.window)
     table = [
-        ("rejected", np.mean(~recording.used), "1", config.max_rejected_fraction, why),
+        ("rejected", rejected, "1", config.max_rejected_fraction, why),
         ("saturated", saturated, "1", config.max_saturated_fraction, "frames that are saturated"),
         ("missing", missing, "1", config.max_missing_fraction, "frames that the recorder lost"),
-        ("bad_pixels", np.mean(~recording.good), "1", config.max_bad_pixel_fraction, "masked pixels"),
+        ("bad_pixels", bad, "1", config.max_bad_pixel_fraction, "masked pixels"),
         ("centring", offset_px, "px", offset_limit_px, "distance of the star from the window's centre"),
     ]
-    prefix = f"ingest/{recording.input}/{recording.name}"
+    prefix = f"ingest/{row.input}/{row.name}"
     message = "signal above the level of the sky, or dark; negative, and it is not that of these frames"
     return [
         *(
             Check(f"{prefix}/{name}", float(value), unit, None, float(high), message)
             for name, value, unit, high, message in table
         ),
-        Check(f"{prefix}/flux", _flux_e(recording), "e-", 0.0, None, message),
+        Check(f"{prefix}/flux", row.flux_e, "e-", 0.0, None, message),
         Check(f"{prefix}/told", float(len(wrong)), "1", None, 0.0, contradicted),
     ]
 
