@@ -276,7 +276,7 @@ def overviews_from_product(product: Product) -> list[Overview]:
     for owner, name in _keys(product):
         prefix = f"{ROOT}/{owner}/{name}"
         arrays = {key: f"{prefix}/{key}" for key in ("pixel_mask", "start_unix_s", "used", "time_s")}
-        good, start_s, *of_frames = (np.asarray(product.arrays[path].value) for path in arrays.values())
+        good, start_s, used, time_s = (np.asarray(product.arrays[path].value) for path in arrays.values())
         mean_e = product.arrays.get(f"{prefix}/mean_e")  # None in a product of an earlier version
         found.append(
             Overview(
@@ -286,7 +286,8 @@ def overviews_from_product(product: Product) -> list[Overview]:
                 good,
                 float(start_s),
                 mean_e.value if mean_e else _recording(product, owner, name).mean_e,
-                *of_frames,
+                used,
+                time_s,
                 {key: own.value for key in SERIES if (own := product.arrays.get(f"{prefix}/{key}"))},
             )
         )

@@ -280,7 +280,8 @@ def _checks(row: RecordingRow, told: Sequence[Told], config: Config) -> list[Che
     contradicted = "; ".join(wrong) or "nothing that was declared is contradicted by the frames beyond doubt"
     rejected, saturated = row.frames_rejected / row.frames, row.saturated_frames / row.frames
     missing = row.frames_missing / (row.frames + row.frames_missing)
-    bad, offset_px = len(row.bad_pixels) / np.prod(row.window), np.hypot(*row.centre_offset_px)
+    x_px, y_px = row.centre_offset_px
+    bad, offset_px = len(row.bad_pixels) / np.prod(row.window), np.hypot(x_px, y_px)
     reasons = ", ".join(f"{number} x {reason}" for reason, number in row.reasons.items())
     why = f"frames that are rejected ({reasons or 'none'})"
     offset_limit_px = config.max_centre_offset_fraction * min(row.window)
