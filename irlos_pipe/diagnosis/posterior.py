@@ -324,10 +324,10 @@ class Posterior:
         lower, upper = self.exact.lower.clone(), self.exact.upper.clone()
         lower[..., held] = upper[..., held] = x[0, held]
         for _ in range(iterations):
-            known, slopes = slopes, None
-            if known is None:
-                slopes = (self.coarse if coarse else self.exact).predict_and_jacobian(x)[1]
-            design = self.covariance.whiten((slopes if known is None else known).mT)
+            columns, fresh = slopes, slopes is None
+            if columns is None:
+                columns = (self.coarse if coarse else self.exact).predict_and_jacobian(x)[1]
+            design, slopes = self.covariance.whiten(columns.mT), None
             hessian = self.hessian(design)
             before, first, enough = value, math.inf, CONVERGED_AT * max(1.0, value / self.exact.freedom)
             for _ in range(CHORDS):
@@ -349,9 +349,9 @@ class Posterior:
                     break
             if before - value < enough:
                 if roughly or not coarse:
-                    return x, value, slopes
+                    return x, value, columns if fresh else None
                 damping = max(min(damping, 1.0), 1e-3)
-            slopes, coarse = None, roughly or (coarse and before - value >= enough and first >= EXACT_FROM)
+            coarse = roughly or (coarse and before - value >= enough and first >= EXACT_FROM)
         return x, value, None
 
     def gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:

@@ -57,6 +57,7 @@ FINER = 0.5  # by which the steps of a search for a place get smaller
 LEAST = 0.02  # and the last of them, of the range or λ/D
 
 Report = Callable[[int], None]
+Descent = tuple[torch.Tensor, float, torch.Tensor | None]  # see `Posterior.descended`
 
 
 @dataclass(frozen=True)
@@ -271,7 +272,7 @@ class Task:
         fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
         sides = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
 
-        def following(side: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, ...]:
+        def following(side: tuple[Effect, torch.Tensor, list[int]]) -> Descent:
             _, x, columns = side
             return sharp.descended(x, 1, roughly=True, held=columns, slopes=laplace.columns)
 

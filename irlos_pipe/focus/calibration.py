@@ -211,8 +211,8 @@ class CalibrationRequest:
             )
         recipe = load_recipe(folder.recipe, needed="none")
         products = {name: open_product(paths[name]) for name in ("ingest", "calibrate")}
-        config = recipe.configs.get("lift", Config())
-        assert isinstance(config, Config)
+        told = dict(recipe.configs.get("lift", Config()))
+        config = Config(**told | {"calibrated": True, "halo": "calibrated"})
         model, instrument, seed = recipe.model, recipe.instrument, recipe.seed
         ctx = StageContext(config, model, instrument, {}, products, "cpu", seed, 1, _no_progress, LOG, Path())
         recording, good, noise, images_e = self._frames(ctx)

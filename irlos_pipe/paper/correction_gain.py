@@ -17,8 +17,7 @@ from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.scenes import star_image
-from irlos_pipe.report.curves import profile_plot
-from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
+from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, profile_plot, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, log_scale, symmetric_scale
 
 METHODS = (DEFAULT, PAPER_CHOICE)

@@ -20,7 +20,7 @@ from irlos_pipe.paper.common import calibrations
 from irlos_pipe.paper.common.observation import on_spartas_scale
 from irlos_pipe.paper.common.scenes import BY_MIRROR
 from irlos_pipe.report.images import common_limit_nm, wavefront_grid
-from irlos_pipe.report.section_derotator import maps_figure
+from irlos_pipe.report.section_series import maps_figure
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Sampling, Scene, draw_ncpa_nm

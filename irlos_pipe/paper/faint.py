@@ -19,7 +19,7 @@ from irlos_pipe.paper.common import observation
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, calibrated, narrow_ramp, observe, offsets_nm
 from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
-from irlos_pipe.report.section_sensitivity import Look, sensitivity_plot
+from irlos_pipe.report.section_lift import Look, sensitivity_plot
 from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow
 
 LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}

@@ -12,7 +12,7 @@ from irlos_pipe.estimate.mode_number import ModeLaw, ModeScatter, equalised_tilt
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common import calibrations
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, ObservedCube
-from irlos_pipe.report.section_modes import Points, strength_plot
+from irlos_pipe.report.section_series import Points, strength_plot
 from irlos_pipe.stages.modes import LawRow
 
 INTRODUCED = 51  # highest Noll mode of the simulated NCPAs

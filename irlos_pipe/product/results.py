@@ -45,12 +45,18 @@ class ResultsPart(BaseModel):
     )
 
     @classmethod
-    def filled_from(cls, source: object, **own: Any) -> Self:
-        """Return what `source` calls by the names of the fields, arrays as lists, and the `own` values."""
-        names = [name for name in cls.model_fields if name not in own and hasattr(source, name)]
-        values = {name: getattr(source, name) for name in names}
-        plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in values.items()}
+    def filled_from(cls, *sources: object, **own: Any) -> Self:
+        """Return what the `sources`, first ones first, have of the fields, arrays as lists, and the `own`."""
+        names = [name for name in cls.model_fields if name not in own]
+        found = {name: getattr(one, name) for one in sources[::-1] for name in names if hasattr(one, name)}
+        plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in found.items()}
         return cls(**plain | own)
+
+    @classmethod
+    def rows(cls, **columns: Any) -> list[Self]:
+        """Return one for each value of the `columns`, lists or arrays of one length."""
+        plain = [one.tolist() if isinstance(one, np.ndarray) else one for one in columns.values()]
+        return [cls(**dict(zip(columns, row, strict=True))) for row in zip(*plain, strict=True)]
 
     def as_json(self) -> dict[str, Any]:
         """Return the keys that were set, in the types of JSON."""

@@ -22,10 +22,8 @@ from irlos_pipe.report.content import Section, Text, rendered
 from irlos_pipe.report.drawing import ALONE, kept_by
 from irlos_pipe.report.run_data import RunData, read_run
 from irlos_pipe.report.section_calibrate import calibrate_section, correct_section
-from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.report.section_diagnose import diagnose_section, verdict_mark
-from irlos_pipe.report.section_lift import lift_section, prior_section
-from irlos_pipe.report.section_modes import modes_section
+from irlos_pipe.report.section_lift import lift_section, prior_section, sensitivity_section
 from irlos_pipe.report.section_run import (
     answer,
     causes,
@@ -39,7 +37,7 @@ from irlos_pipe.report.section_run import (
     quality_section,
     warnings,
 )
-from irlos_pipe.report.section_sensitivity import sensitivity_section
+from irlos_pipe.report.section_series import derotator_section, modes_section
 from irlos_pipe.stages import EXPERIMENTS, STAGES
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.diagnose.stage import DiagnoseResults

@@ -15,7 +15,7 @@ from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, View
 from irlos_pipe.report.drawing import renamed
 from irlos_pipe.report.run_data import read_run
 from irlos_pipe.report.section_run import finished, meaning_section, warnings
-from irlos_pipe.report.text import MISSING, duration, is_known
+from irlos_pipe.report.text import duration, is_known, number
 
 TITLE = "The experiments of the paper"
 LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report shows them
@@ -107,7 +107,7 @@ def write_collection(path: Path, note: str, chapters: Sequence[Chapter]) -> Path
             "experiment": lambda one: Markup('<a href="#{}">{}</a>').format(one.name, one.title),
             "status": lambda one: one.status.replace("_", " "),
             "sizes": lambda one: one.sizes,
-            "seed": lambda one: _text(one.seed),
+            "seed": lambda one: number(one.seed, "d"),
             "time": lambda one: one.time,
         },
         marks=["" if one.status == "ok" else "bad" for one in chapters],
@@ -125,10 +125,6 @@ def write_collection(path: Path, note: str, chapters: Sequence[Chapter]) -> Path
     return path
 
 
-def _text(value: Any) -> str:
-    return MISSING if value is None else str(value)
-
-
 def _origin(chapters: Sequence[Chapter]) -> Section:
     """Where and with what each experiment was run."""
     run = [(one, one.made) for one in chapters if one.made]
@@ -138,7 +134,7 @@ def _origin(chapters: Sequence[Chapter]) -> Section:
             "experiment": lambda one: one[0].name,
             "finished": lambda one: one[0].finished,
             "time": lambda one: one[0].time,
-            "processes": lambda one: _text(one[1].jobs),
+            "processes": lambda one: number(one[1].jobs, "d"),
             "machine": lambda one: f"{one[1].machine.host} ({one[1].machine.platform})",
         },
     )

@@ -9,7 +9,6 @@ from markupsafe import Markup
 
 Item = TypeVar("Item")
 Width = Literal["third", "half", "two-thirds", "full"]
-MOST_CHOICES = 4  # views of a figure for which report.css has rules
 
 
 @dataclass(frozen=True)
@@ -80,18 +79,14 @@ class Stack:
 class Views:
     """The same content in several ways, of which a page shows the one that the reader chooses.
 
-    The choices are named by what the reader clicks, and the first is shown at the beginning; the width is
-    that of all blocks of a choice together. The name is unique in the page.
+    The choices, up to four, for which report.css has rules, are named by what the reader clicks, and the
+    first is shown at the beginning; the width is that of all blocks of a choice together. The name is unique.
     """
 
     kind: ClassVar[str] = "views"
     name: str
     choices: "Mapping[str, Sequence[Block]]"
     width: Width = "full"
-
-    def __post_init__(self) -> None:
-        if len(self.choices) > MOST_CHOICES:
-            raise ValueError(f"{len(self.choices)} choices; report.css has rules for {MOST_CHOICES}")
 
 
 Block = Figure | Table | Text | Stack | Views

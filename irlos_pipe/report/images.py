@@ -238,10 +238,8 @@ def image_views(
     low, high = _range(*shown)
     scales = {"logarithmic": brightness_scale(*shown), "linear": Normalize(min(low, 0.0), high)}
     for label, scale in scales.items():
-        look = {"scale": scale, "unit": "e⁻"}
-        choices[label] = _side_by_side(
-            f"{name}-{label}", images, good, pixel_scale_mas=pixel_scale_mas, **look
-        )
+        look = {"scale": scale, "unit": "e⁻", "pixel_scale_mas": pixel_scale_mas}
+        choices[label] = _side_by_side(f"{name}-{label}", images, good, **look)
     return Views(name, choices, width)
 
 
@@ -259,27 +257,18 @@ def residual_views(
     errors `sigma_e` (rows, columns) are 0 or not finite where a pixel is not used; without them there are no
     σ. The peak is that of the predicted image.
     """
-    percent = 100 / peak_e if peak_e > 0 else np.nan
-    units: dict[str, Callable[[np.ndarray], np.ndarray]] = {"% of the peak": lambda one: one * percent}
-    if sigma_e is not None:
-        units = {"σ": lambda one: in_sigma(one, sigma_e)} | units
+    factors = {} if sigma_e is None else {"σ": in_sigma(np.ones(sigma_e.shape), sigma_e)}
+    factors["% of the peak"] = np.array(100 / peak_e if peak_e > 0 else np.nan)
     choices: dict[str, list[Figure]] = {}
-    for unit, scaled in units.items():
-        images = {title: (scaled(image), caption) for title, (image, caption) in residuals.items()}
-        limit = max(
-            SIGMA_LIMIT if unit == "σ" else 0.0,
-            *(percentile(PERCENTILE, image) or 1e-3 for image, _ in images.values()),
-        )
-        widths = {"log": LINEAR_SIGMA if unit == "σ" else limit / 100, "linear": None}
-        for label, linear_width in widths.items():
-            look: dict[str, Any] = {
-                "scale": symmetric_scale(limit, linear_width),
-                "colours": SIGNED,
-                "unit": unit,
-            }
-            choices[f"{unit[0]} {label}"] = _side_by_side(
-                f"{name}-{len(choices)}", images, pixel_scale_mas=pixel_scale_mas, **look
-            )
+    for unit, factor in factors.items():
+        images = {title: (image * factor, caption) for title, (image, caption) in residuals.items()}
+        least, linear = (SIGMA_LIMIT, LINEAR_SIGMA) if unit == "σ" else (0.0, None)
+        limit = max(least, *(percentile(PERCENTILE, image) or 1e-3 for image, _ in images.values()))
+        look: dict[str, Any] = {"colours": SIGNED, "unit": unit, "pixel_scale_mas": pixel_scale_mas}
+        for label, linear_width in {"log": linear or limit / 100, "linear": None}.items():
+            scale = symmetric_scale(limit, linear_width)
+            place = f"{name}-{len(choices)}"
+            choices[f"{unit[0]} {label}"] = _side_by_side(place, images, scale=scale, **look)
     return Views(name, choices, width)
 
 

@@ -16,31 +16,29 @@ from irlos_pipe.optics.wavefront import opd_sigma_nm
 from irlos_pipe.optics.zernike import noll_to_nm
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text, Views, shown
-from irlos_pipe.report.curves import (
-    FEWEST,
-    PREDICTED,
-    Look,
-    energy_figure,
-    otf_figure,
-    power_figure,
-    profile_plot,
-    quantile_figure,
-    star_profile,
-)
 from irlos_pipe.report.drawing import (
     BESIDE,
     BLUE,
     CYCLE,
     FAINT,
+    FEWEST,
     GREEN,
     INK,
     MARKERS,
     ORANGE,
+    PREDICTED,
     SIZE_IN,
+    Look,
+    energy_figure,
     figure,
     log_y,
+    otf_figure,
     plot,
+    power_figure,
     power_of_ten,
+    profile_plot,
+    quantile_figure,
+    star_profile,
 )
 from irlos_pipe.report.images import (
     BRIGHTNESS,
@@ -57,8 +55,17 @@ from irlos_pipe.report.images import (
 )
 from irlos_pipe.report.run_data import RunData, StageData, frame_times
 from irlos_pipe.report.section_lift import effects_table, image_strip, residual_limit
-from irlos_pipe.report.section_run import advice, applicable, effect_link
-from irlos_pipe.report.text import MISSING, is_known, mode_label, mode_name, number, plural, with_error
+from irlos_pipe.report.section_run import advice, applicable
+from irlos_pipe.report.text import (
+    MISSING,
+    effect_link,
+    is_known,
+    mode_label,
+    mode_name,
+    number,
+    plural,
+    with_error,
+)
 from irlos_pipe.stages.calibrate.stage import CalibrateResults, Estimate
 from irlos_pipe.stages.correct import CorrectResults
 
@@ -100,22 +107,19 @@ def calibrate_section(run: RunData) -> Section:
         _orders,
         _bars,
         _in_time,
-        lambda of: Stack(shown(*(table(of.results) for table in (_setups, _fitted, _cubes, _methods)))),
+        _tables,
     )
-    return Section(of.stage, "NCPA calibration", _lead(of), blocks)
-
-
-def _lead(of: Calibration) -> str:
     results, names = of.results, ", ".join(recording.name for recording in of.recordings)
     mean = "; every recording by itself, mean over them" if results.cubes else ""
     if results.setups:
         mean = f"; {len(results.setups)} set-ups fitted together, images are those of the first"
     if results.adjusted:
         mean += "; facts of the instrument, not quite as declared, follow the images"
-    return (
+    lead = (
         f"{results.method} on {plural(results.frames, 'used frame')}"
         f"{f' of {names}' if names else ''}{mean}; diversity not included in the coefficients."
     )
+    return Section(of.stage, "NCPA calibration", lead, blocks)
 
 
 def _images(of: Calibration) -> list[Views]:
@@ -146,21 +150,6 @@ def _planes(of: Calibration) -> Figure | None:
     drawing = image_strip(known_nm, measured, model, residual_limit(measured, model), name="cal-planes")
     caption = "Every set-up over the peak of its model, by its known defocus; residual: measured − model."
     return Figure(drawing, "Set-ups fitted together", caption, "full", "cal-planes")
-
-
-def _setups(results: CalibrateResults) -> Table:
-    return Table.of(
-        results.setups,
-        {
-            "recording": lambda one: one.name,
-            "known defocus [nm]": lambda one: number(one.introduced_nm, "+.1f"),
-            "frames": lambda one: number(one.frames, "d"),
-            "χ²/ν": lambda one: number(one.chi2_nu, ".2f"),
-            "wants more [nm]": lambda one: with_error(one.focus_nm, one.focus_sigma_nm, "+.1f"),
-        },
-        "Set-ups fitted together",
-        "Wants more: defocus beyond the known and the common one by which its image alone would fit better.",
-    )
 
 
 def _sigma(of: Calibration) -> np.ndarray | None:
@@ -391,12 +380,23 @@ def _in_time(of: Calibration) -> Figure | None:
     return figure("cal-time", (1.4 * WIDTH_IN, 0.5 + 0.9 * len(largest)), draw, title, caption)
 
 
-def _fitted(results: CalibrateResults) -> Table:
-    return effects_table("Estimated with the NCPAs", results.effects, results.effects_sigma, EFFECTS)
-
-
-def _cubes(results: CalibrateResults) -> Table:
-    return Table.of(
+def _tables(of: Calibration) -> Stack:
+    """Set-ups, effects, recordings and methods, as far as there are several."""
+    results = of.results
+    setups = Table.of(
+        results.setups,
+        {
+            "recording": lambda one: one.name,
+            "known defocus [nm]": lambda one: number(one.introduced_nm, "+.1f"),
+            "frames": lambda one: number(one.frames, "d"),
+            "χ²/ν": lambda one: number(one.chi2_nu, ".2f"),
+            "wants more [nm]": lambda one: with_error(one.focus_nm, one.focus_sigma_nm, "+.1f"),
+        },
+        "Set-ups fitted together",
+        "Wants more: defocus beyond the known and the common one by which its image alone would fit better.",
+    )
+    fitted = effects_table("Estimated with the NCPAs", results.effects, results.effects_sigma, EFFECTS)
+    cubes = Table.of(
         results.cubes,
         {
             "recording": lambda cube: cube.name,
@@ -408,14 +408,9 @@ def _cubes(results: CalibrateResults) -> Table:
         },
         "Recordings one by one",
     )
-
-
-def _methods(results: CalibrateResults) -> Table | None:
     estimates: list[Estimate] = [results, *results.compare]
-    if not results.compare:
-        return None
-    return Table.of(
-        estimates,
+    methods = Table.of(
+        estimates if results.compare else [],
         {
             "method": lambda one: one.method,
             HIGHER: lambda one: number(one.higher_nm),
@@ -428,6 +423,7 @@ def _methods(results: CalibrateResults) -> Table | None:
         },
         "Methods",
     )
+    return Stack(shown(setups, fitted, cubes, methods))
 
 
 # -- correction --------------------------------------------------------------------------------

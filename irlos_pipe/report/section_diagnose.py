@@ -8,22 +8,26 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.diagnosis.records import Alternative, OwnValueRow, Ranked
+from irlos_pipe.diagnosis.records import Ranked
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.recording import star_position
 from irlos_pipe.report.content import Block, Figure, KeyNumber, Section, Stack, Table, Text, Width, shown
-from irlos_pipe.report.curves import (
+from irlos_pipe.report.drawing import (
     BEFORE_AFTER,
+    BLUE,
     DIAGNOSED,
+    GREEN,
+    INK,
+    ORANGE,
     energy_figure,
     otf_figure,
     power_figure,
     quantile_figure,
     star_profile,
+    svg,
 )
-from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import (
     PERCENTILE,
     SIGNED,
@@ -128,18 +132,11 @@ def diagnose_section(run: RunData) -> Section:
         *shown(sharing_tables(results), separation_table(results), _tried(results), _modes(results)),
         *shown(_limits(results)),
     ]
-    return Section(of.stage, f"What the {'ramp' if ramp else 'model'} lacks", _lead(results), blocks)
-
-
-def _lead(results: DiagnoseResults) -> str:
-    frames = results.frames
-    if results.held_out == "pixels":
-        return (
-            f"{plural(frames.training, 'frame')} fitted, some of their pixels held out to judge the models."
-        )
-    if frames.training:
-        return f"{plural(frames.training, 'frame')} fitted, {frames.held_out} held out to judge the models."
-    return ""
+    frames, pixels = results.frames, results.held_out == "pixels"
+    held_out = "some of their pixels" if pixels else frames.held_out
+    lead = f"{plural(frames.training, 'frame')} fitted, {held_out} held out to judge the models."
+    known = lead if pixels or frames.training else ""
+    return Section(of.stage, f"What the {'ramp' if ramp else 'model'} lacks", known, blocks)
 
 
 # -- verdict: tiles at the top of the page, and the same in short in the section ---------------
@@ -207,7 +204,7 @@ def verdict_table(results: DiagnoseResults) -> Table:
             else "",
         ),
         ("data that no fit has seen", _held_out(results)),
-        *(("runner-up", _lost(step)) for step in _steps(results)[:1]),
+        *(("runner-up", _runner_up(step)) for step in _steps(results)[:1]),
         ("left", left if _lacking(results) or not left else f"nothing significant ({left})"),
         ("adjusted, not named", "; ".join(one.phrase or one.effect for one in results.adjusted)),
         # Facts of the instrument from which a calibration with the model begins.
@@ -267,7 +264,7 @@ def _deficit(step: StepRow, other: Ranked) -> str:
     return f"{less}; {explains}{z}"
 
 
-def _lost(step: StepRow) -> str:
+def _runner_up(step: StepRow) -> str:
     if len(step.ranking) < 2:
         return "none: nothing else promised enough to be fitted" if step.ranking else ""
     return f"{step.ranking[1].name}: {_deficit(step, step.ranking[1])}"
@@ -341,27 +338,25 @@ def _candidates(results: DiagnoseResults) -> list[Table]:
 
 def separation_table(results: DiagnoseResults) -> Table:
     """Return what would distinguish the names from others that fit as well."""
-    rows = [
-        (f"{step.effect} or {other.name}", other.reason, _what_separates(other))
-        for step in results.steps
-        for other in step.alternatives
-    ]
+    rows = []
+    for step in results.steps:
+        for other in step.alternatives:
+            then = f" (|cos| then {number(other.likeness_then, '.2f')})"
+            second = f"; a second recording {other.second_recording}{then}" if other.second_recording else ""
+            rows.append((f"{step.effect} or {other.name}", other.reason, f"{other.separated_by}{second}"))
     return Table(("effects", "why", "what distinguishes them"), rows, "Not distinguished", prose=True)
-
-
-def _what_separates(other: Alternative) -> str:
-    """What separates two effects, and the second recording in which they are least degenerate."""
-    if not other.second_recording:
-        return other.separated_by
-    cosine = number(other.likeness_then, ".2f")
-    return f"{other.separated_by}; a second recording {other.second_recording} (|cos| then {cosine})"
 
 
 def sharing_tables(results: DiagnoseResults) -> list[Table]:
     """Return what recordings of several stars and nights share: findings, values of each, wavefronts."""
     if not results.recordings:
         return []
-    values = [row for one in results.sharing for own in one.values for row in _own_values(one.effect, own)]
+    values: list[tuple[str, ...]] = []
+    for effect, own in ((one.effect, own) for one in results.sharing for own in one.values):
+        errors, seen = dict(rows_of(own.sigma)), number(own.significance, ".1f", "σ")
+        for place, (name, value) in enumerate(rows_of(own.parameters)):
+            text = rounded_by_error(value, errors.get(name)) if isinstance(value, float) else str(value)
+            values.append(("", "", name, text, "") if place else (effect, own.recording, name, text, seen))
     found = Table.of(
         results.sharing,
         {
@@ -385,20 +380,7 @@ def sharing_tables(results: DiagnoseResults) -> list[Table]:
         "Stars and nights",
     )
     columns = ("name", "recording", "parameter", "value", "seen there")
-    return [
-        one
-        for one in (found, Table(columns, values, "Fitted to each recording", folded=True), stars)
-        if one.rows
-    ]
-
-
-def _own_values(effect: str, own: OwnValueRow) -> list[tuple[str, ...]]:
-    errors, seen = dict(rows_of(own.sigma)), number(own.significance, ".1f", "σ")
-    rows: list[tuple[str, ...]] = []
-    for place, (name, value) in enumerate(rows_of(own.parameters)):
-        text = rounded_by_error(value, errors.get(name)) if isinstance(value, float) else str(value)
-        rows.append(("", "", name, text, "") if place else (effect, own.recording, name, text, seen))
-    return rows
+    return [found, Table(columns, values, "Fitted to each recording", folded=True), stars]
 
 
 def _tried(results: DiagnoseResults) -> Table:
@@ -435,12 +417,6 @@ def _modes(results: DiagnoseResults) -> Table | None:
 
 
 def _limits(results: DiagnoseResults) -> list[Block]:
-    def second(name: str) -> tuple[str, str, str]:
-        advice = results.second_recording.get(name)
-        return (
-            (name, advice.recording, sizes(advice.smallest)) if advice else (name, "none of those tried", "–")
-        )
-
     limits = Table(
         ("effect", "smallest size that would have been seen"),
         [(name, sizes(public)) for name, public in results.mdb.items()],
@@ -448,9 +424,11 @@ def _limits(results: DiagnoseResults) -> list[Block]:
         "Effects that were not seen: above these sizes they would have been.",
         folded=True,
     )
+    none, advice = ("none of those tried", MISSING), results.second_recording
+    shows = {name: (one.recording, sizes(one.smallest)) for name, one in advice.items()}
     hidden = Table(
         ("effect", "second recording that shows it", "smallest size seen then"),
-        [second(name) for name in results.untestable],
+        [(name, *shows.get(name, none)) for name in results.untestable],
         "Not to be seen in these data: the free parameters imitate it",
         folded=True,
     )

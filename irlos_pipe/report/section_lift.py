@@ -1,18 +1,35 @@
-"""Sections on a ramp: its prior, and LIFT with what each part of the model contributes."""
+"""Sections on a ramp: its prior, LIFT with what each part of the model contributes, and its sensitivity."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_options import DECISIVE
 from irlos_pipe.product.results import EffectValues
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown
-from irlos_pipe.report.drawing import BESIDE, BLUE, FAINT, GREEN, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
+from irlos_pipe.report.drawing import (
+    BESIDE,
+    BLUE,
+    CYCLE,
+    FAINT,
+    GREEN,
+    INK,
+    MANY,
+    ORANGE,
+    PURPLE,
+    figure,
+    log_y,
+    plot,
+    svg,
+)
 from irlos_pipe.report.images import (
     BRIGHTNESS,
     PERCENTILE,
@@ -23,10 +40,10 @@ from irlos_pipe.report.images import (
     symmetric_scale,
 )
 from irlos_pipe.report.run_data import RunData, StageData
-from irlos_pipe.report.section_run import effect_link
-from irlos_pipe.report.text import MISSING, is_known, number, parameter_rows, plural, with_error
-from irlos_pipe.stages.lift.stage import LiftResults, Point, Twin, own_text
+from irlos_pipe.report.text import MISSING, effect_link, is_known, number, parameter_rows, plural, with_error
+from irlos_pipe.stages.lift.stage import LiftResults, Twin, own_text
 from irlos_pipe.stages.prior import PriorResults
+from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
 # Direction of travel: label, marker, colour.
 TRAVEL = {
@@ -76,21 +93,17 @@ def lift_section(run: RunData) -> Section:
 
 
 def _ramp(of: Ramp) -> Figure | None:
+    """Estimated against introduced defocus with the 1:1 line, and their difference below."""
     points = [point for point in of.results.points if np.isfinite(point.introduced_nm)]
     if not points:
         return None
-    missing = sum(not np.isfinite(point.defocus_nm) for point in points)
-    lost = f" {plural(missing, 'frame')} without estimate." if missing else ""
-    return Figure(ramp_plot(points), "Ramp", f"{RAMP}{lost}", name="ramp")
-
-
-def ramp_plot(points: list[Point]) -> Markup:
-    """Draw estimated against introduced defocus with the 1:1 line, and their difference below."""
     names = ("introduced_nm", "defocus_nm", "sigma_nm", "converged")
     introduced, defocus, sigma, converged = (
         np.array([getattr(one, name) for one in points]) for name in names
     )
     direction, x = travel_direction(introduced).astype(int), _spread_out(introduced)
+    missing = int(np.sum(~np.isfinite(defocus)))
+    lost = f" {plural(missing, 'frame')} without estimate." if missing else ""
 
     def draw(canvas: Canvas) -> None:
         top, bottom = canvas.subplots(2, sharex=True, height_ratios=(3, 2))
@@ -110,7 +123,7 @@ def ramp_plot(points: list[Point]) -> Markup:
         canvas.legend(*top.get_legend_handles_labels(), **BESIDE["below"])
         bottom.set(xlabel="introduced defocus [nm RMS]", ylabel="estimated −\nintroduced [nm]")
 
-    return svg("ramp", (4.8, 4.8), draw)
+    return figure("ramp", (4.8, 4.8), draw, "Ramp", f"{RAMP}{lost}")
 
 
 def _spread_out(introduced_nm: np.ndarray) -> np.ndarray:
@@ -301,3 +314,146 @@ def _law(of: Prior) -> Figure:
 
     labels = ("introduced defocus [nm RMS]", "axis ratio σ₁/σ₂")
     return plot("prior-law", draw, labels, "Axis ratio against introduced defocus", LAW, "half", (4.4, 2.9))
+
+
+# -- sensitivity: error and failures against magnitude -----------------------------------------
+
+CAPTION = (
+    f"Bands: 16th to 84th percentile. Dashed: Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median "
+    "|error| of an efficient estimate; dotted: the same of exposures of one read without sky. Horizontal and "
+    "vertical lines: criterion and limiting magnitudes. Errors are against the introduced defocus: without "
+    "NCPAs, theirs counts as an error."
+)
+Sensitivity = StageData[SensitivityResults]
+
+
+def sensitivity_section(run: RunData) -> Section:
+    of = run.of(SensitivityResults)
+    trials = [row.trials for row in of.results.curves if row.trials is not None]
+    lead = (
+        f"Frames dimmed to fainter stars, {max(trials)} estimates per magnitude. Errors are those of single "
+        "frames against the introduced defocus."
+        if trials
+        else ""
+    )
+    return Section(of.stage, "Sensitivity", lead, of.blocks(_curves, _limits) if of.results.curves else [])
+
+
+def _curves(of: Sensitivity) -> Figure:
+    curves = [(row.label, row) for row in of.results.curves]
+    drawing = sensitivity_plot("sensitivity", curves, of.results.criterion)
+    return Figure(drawing, "Defocus error against magnitude", CAPTION)
+
+
+def _limits(of: Sensitivity) -> Stack:
+    criterion, noise = of.results.criterion, of.results.noise
+    limits = Table.of(
+        of.results.curves,
+        {
+            "NCPAs": lambda row: "added" if row.calibrated else "left out",
+            "modes": lambda row: ", ".join(map(str, row.modes)),
+            "limit [J mag]": limit_text,
+            "limit of the bound, one read without sky [J mag]": lambda row: number(row.one_read_bound_mag),
+            "median |error| of the brightest [nm]": lambda row: number(
+                next(iter(row.median_abs_error_nm), None)
+            ),
+        },
+        "Limiting magnitude",
+        f"Faintest magnitude with median |error| ≤ {number(criterion.median_abs_error_nm, '.0f', 'nm')} "
+        f"and ≤ {number(criterion.failures, '.0%')} failures; "
+        f"≥: the magnitudes end before. {MISSING}: met at no magnitude.",
+    )
+    return Stack([limits] if noise.reads is None else [limits, _noise(noise)])
+
+
+def _noise(noise: NoiseRow) -> Table:
+    """What the dimmed frames are noisier by than one read without sky."""
+    read_e, factor = number(noise.read_noise_e, ".2g"), number(noise.excess_noise_factor, ".2f")
+    floors = (number(floor, ".3g") for floor in (noise.floor_e2, noise.one_read_floor_e2))
+    rows = [
+        ("reads in an exposure", str(noise.reads), "1"),
+        ("noise of a read [e⁻]", read_e, read_e),
+        (
+            "sky + dark [e⁻ per pixel]",
+            f"{number(noise.sky_e, '.2f')} + {number(noise.dark_e, '.2f')}",
+            "0 + 0",
+        ),
+        ("excess noise factor", factor, "1.00"),
+        ("variance without star [e⁻²]", *floors),
+    ]
+    ratio = number(noise.floor_e2 / noise.one_read_floor_e2, ".3g")
+    text = f"The variance without star is {ratio} times that of one read without sky."
+    return Table(("", "dimmed frames", "one read without sky"), rows, "Noise of a pixel", text)
+
+
+def noise_text(noise: NoiseRow) -> str:
+    """Return in a few words what the dimmed frames are noisy by; nothing where that is not known."""
+    if noise.reads is None:
+        return ""
+    sky = number(noise.sky_e, ".2g", "e⁻/px of sky")
+    return f"{sky}, {plural(noise.reads, 'read')} of {number(noise.read_noise_e, '.2g', 'e⁻')}"
+
+
+def limit_text(row: CurveRow) -> str:
+    """Return the limiting magnitude of a curve; with ``≥`` where the magnitudes end before."""
+    return ("≥ " if row.at_the_end else "") + number(row.limit_mag)
+
+
+# -- drawing -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a curve is drawn; only a `main` one has its spread, its bound and its limit drawn too."""
+
+    colour: str
+    marker: str
+    main: bool = True
+
+
+LOOKS = tuple(map(Look, CYCLE, ("o", "s", "^", "D", "v", "P")))
+
+
+def sensitivity_plot(
+    name: str,
+    curves: Sequence[tuple[str, CurveRow]],
+    criterion: CriterionRow,
+    looks: Sequence[Look] = LOOKS,
+    floor_nm: float | None = None,
+) -> Markup:
+    """Draw median errors above and failures below, with the `criterion` as levels, of labelled `curves`.
+
+    Fewer `looks` than curves are repeated; `floor_nm` is the median error of a perfect sensor.
+    """
+
+    def draw(canvas: Canvas) -> None:
+        top, bottom = canvas.subplots(2, sharex=True, height_ratios=(3, 1))
+        for place, (label, row) in enumerate(curves):
+            look = looks[place % len(looks)]
+            colour, mag_j, width = look.colour, row.mag_j, 1.4 if look.main else 0.8
+            points: dict[str, Any] = {"markersize": 3.5, "linewidth": width, "label": label}
+            top.plot(mag_j, row.values("median_abs_error_nm"), f"{look.marker}-", color=colour, **points)
+            if look.main:
+                ends = row.values("p16_nm"), row.values("p84_nm")
+                top.fill_between(mag_j, *ends, color=colour, alpha=0.15, linewidth=0)
+                for bound, style in (("crb_nm", "--"), ("one_read_crb_nm", ":")):
+                    top.plot(mag_j, MEDIAN_OF_NORMAL * row.values(bound), style, color=colour, linewidth=0.9)
+                if np.isfinite(row.limit_mag):
+                    top.axvline(row.limit_mag, color=colour, linewidth=0.8, linestyle=":")
+            failed = row.values("failures") / (row.trials or np.nan)
+            bottom.plot(row.mag_j, 100 * failed, f"{look.marker}-", color=look.colour, markersize=3.5)
+        _draw_level(top, floor_nm, 1, ":", "AO residual's own defocus")
+        _draw_level(top, criterion.median_abs_error_nm, 1, "-.")
+        _draw_level(bottom, criterion.failures, 100, "-.")
+        top.set_ylabel("median |error| [nm RMS]")
+        log_y(top, *(row.values("median_abs_error_nm") for _, row in curves))
+        canvas.legend(loc="outside upper center", ncols=2)
+        bottom.set(xlabel="J magnitude", ylabel="failures [%]")
+        bottom.set_ylim(bottom=-2)
+
+    return svg(name, (5.2, 4.8), draw)
+
+
+def _draw_level(axes: Axes, level: float | None, factor: float, style: str, label: str | None = None) -> None:
+    if level is not None and np.isfinite(level):
+        axes.axhline(factor * level, color=INK, linewidth=0.8, linestyle=style, label=label)

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import EngFormatter
 
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
 from irlos_pipe.frames.recording import PROFILE
 from irlos_pipe.product.product import Check
@@ -26,8 +25,8 @@ from irlos_pipe.report.drawing import BLUE, MANY, ORANGE, figure
 from irlos_pipe.report.images import MANY_DIGITS, thumbnail
 from irlos_pipe.report.run_data import RunData, frame_times
 from irlos_pipe.report.section_diagnose import verdict_numbers
-from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
-from irlos_pipe.report.text import MISSING, is_known, number, plural, rounded_by_error, with_error
+from irlos_pipe.report.section_lift import limit_text, noise_text
+from irlos_pipe.report.text import MEANING, MISSING, is_known, number, plural, rounded_by_error, with_error
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.correct import CorrectResults, checks_behind
@@ -47,7 +46,6 @@ LOOK_AT = {
     "scatter about the line": "ramp", "chi2 of the frames": "ramp-chi2",
     **dict.fromkeys(("rejected", "saturated", "missing", "centring", "flux"), "frames-{input}"),
 }  # fmt: skip
-MEANING = "meaning-"  # begins the names of the rows that explain a number or an effect
 
 
 # -- may it be used, and why not ---------------------------------------------------------------------
@@ -178,7 +176,7 @@ def _key_numbers(run: RunData) -> Iterator[KeyNumber]:
     yield KeyNumber("Ramp error", number(line.rms_nm, ".1f", "nm RMS"), note, key="lift.summary.rms_nm")
     for curve in sensitivity.curves[:1]:
         limit = f"{limit_text(curve)} mag" if math.isfinite(curve.limit_mag) else "not reached"
-        note = "; ".join(filter(None, [f"J, {curve_label(curve)}", noise_text(sensitivity.noise)]))
+        note = "; ".join(filter(None, [f"J, {curve.label}", noise_text(sensitivity.noise)]))
         yield KeyNumber("Limiting magnitude", limit, note, key="sensitivity.curves.limit_mag")
     yield from _strehl(run.results(CorrectResults), not applicable(run))
     yield from _sky(calibration)
@@ -240,14 +238,6 @@ def _estimated(results: CalibrateResults, effect: str, parameter: str, pattern: 
 
 
 # -- what they mean ----------------------------------------------------------------------------------
-
-
-def effect_link(label: str) -> str:
-    """Return the readable name of an effect with a link to what it is; other text as it is."""
-    kind = kind_of(label)
-    if kind not in CATALOGUE:
-        return label
-    return Markup('<a href="#{}{}">{}</a>').format(MEANING, kind, label.replace("_", " "))
 
 
 def meaning_section(tiles: Sequence[KeyNumber], sections: Sequence[Section]) -> Section | None:

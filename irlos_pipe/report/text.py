@@ -4,7 +4,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeGuard
 
+from markupsafe import Markup
+
 from irlos_pipe.conventions import text
+from irlos_pipe.effects.base import kind_of
+from irlos_pipe.effects.catalogue import CATALOGUE
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.optics.zernike import noll_to_nm
 
@@ -44,6 +48,7 @@ WORDS = {
     "": "size",
 }
 PARTS_OF_ONE = ("flux_ratio", "fraction", "fraction_at_peak")
+MEANING = "meaning-"  # begins the names of the rows that explain a number or an effect
 MOST_ROWS = 16  # rows of one effect that are shown at once; tables of modes and petals have more
 
 
@@ -180,3 +185,11 @@ def _row(name: str, value: Any, error: float | None) -> Row:
         return Row(label, MISSING if value is None else str(value), unit)
     factor = 100.0 if unit == "%" else 1.0
     return Row(label, rounded_by_error(factor * value, None if error is None else factor * error), unit)
+
+
+def effect_link(label: str) -> str:
+    """Return the readable name of an effect with a link to what it is; other text as it is."""
+    kind = kind_of(label)
+    if kind not in CATALOGUE:
+        return label
+    return Markup('<a href="#{}{}">{}</a>').format(MEANING, kind, label.replace("_", " "))

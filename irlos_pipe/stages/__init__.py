@@ -7,12 +7,9 @@ of the paper is one module, whose `EXPERIMENT` is the stage.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import UserDict
 from importlib import import_module
-from typing import TYPE_CHECKING, cast
-
-if TYPE_CHECKING:
-    from irlos_pipe.stages.base import Stage
+from typing import Any
 
 LIGHT_PATH = {
     "ingest": "irlos_pipe.stages.ingest.stage",
@@ -46,23 +43,12 @@ EXPERIMENTS = (
 )
 
 
-class StageRegistry(Mapping[str, "Stage"]):
-    """Stage modules by name, iterated in the order of the light path."""
+class StageRegistry(UserDict[str, Any]):
+    """The `Stage` of every name, imported when it is asked for, in the order of the light path."""
 
-    def __init__(self, modules: Mapping[str, str]) -> None:
-        self._modules = dict(modules)
-
-    def __getitem__(self, name: str) -> Stage:
-        module = import_module(self._modules[name])
-        return cast("Stage", getattr(module, "EXPERIMENT", module))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._modules)
-
-    def __len__(self) -> int:
-        return len(self._modules)
+    def __getitem__(self, name: str) -> Any:
+        module = import_module(self.data[name])
+        return getattr(module, "EXPERIMENT", module)
 
 
-STAGES: Mapping[str, Stage] = StageRegistry(
-    LIGHT_PATH | {name: f"irlos_pipe.paper.{name}" for name in EXPERIMENTS}
-)
+STAGES = StageRegistry(LIGHT_PATH | {name: f"irlos_pipe.paper.{name}" for name in EXPERIMENTS})

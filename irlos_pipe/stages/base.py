@@ -6,7 +6,8 @@ Also the section `model` of a recipe: the PSF model that calibrate, lift, sensit
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Pr
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
+from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.effects import CATALOGUE
@@ -241,9 +243,18 @@ class Stage(Protocol):
         ...
 
 
-def run_of(module: str) -> Callable[[StageContext[Any]], StageOutput]:
-    """Return the function `run` of a `module` that is imported when the stage runs, as for PyTorch."""
-    return lambda ctx: import_module(module).run(ctx)
+@contextmanager
+def refused(kind: type[IrlosError], place: str, advice: str = "") -> Iterator[None]:
+    """Turn a `ValueError` of science into an error of a `kind`, of what is at a `place`, with `advice`."""
+    try:
+        yield
+    except ValueError as problem:
+        raise kind(f"{place}: {problem}{advice}") from None
+
+
+def late(module: str, name: str = "run") -> Callable[..., Any]:
+    """Return the function `name` of a `module` that is imported when it is called, as for PyTorch."""
+    return lambda *given: getattr(import_module(module), name)(*given)
 
 
 def declared_by(stage: Stage, name: str) -> Any:

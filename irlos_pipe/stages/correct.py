@@ -23,7 +23,7 @@ from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
 from irlos_pipe.product.product import Check, Product, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Card, Column, Table
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput, refused
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import recordings_from_product
 from irlos_pipe.stages.model.groups import turned_angles
@@ -297,25 +297,14 @@ def _predict(
     effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
     settings = psf_settings(ctx.instrument, ctx.model, recording)
     fitted_nm = np.array(product.arrays["modes_nm"].value, float)
-    gain = np.where(np.array(nolls) <= ctx.config.highest_noll, ctx.config.gain, 0.0)
-    prediction = predict_correction(
-        settings,
-        nolls,
-        fitted_nm,
-        zernike_nm,
-        gain,
-        list(effects.values()),
-    )
-    parts = _parts(nolls, prediction.modes_before_nm, ctx.config.highest_noll)
+    highest_noll = ctx.config.highest_noll
+    corrected = np.array(nolls) <= highest_noll
+    gain, in_model = np.where(corrected, ctx.config.gain, 0.0), list(effects.values())
+    prediction = predict_correction(settings, nolls, fitted_nm, zernike_nm, gain, in_model)
+    parts = {f"Noll 4–{highest_noll}": np.where(corrected, prediction.modes_before_nm, 0.0)}
+    beyond = {f"Noll {highest_noll + 1}–{nolls[-1]}": np.where(corrected, 0.0, prediction.modes_before_nm)}
+    parts |= {} if corrected.all() else beyond
     return prediction, strehl_budget(settings, nolls, parts, effects)
-
-
-def _parts(nolls: list[int], modes_nm: np.ndarray, highest_noll: int) -> dict[str, np.ndarray]:
-    """The modes that are corrected, and those beyond, where there are any."""
-    first = np.array(nolls) <= highest_noll
-    parts = {f"Noll 4–{highest_noll}": np.where(first, modes_nm, 0.0)}
-    beyond = {f"Noll {highest_noll + 1}–{nolls[-1]}": np.where(first, 0.0, modes_nm)}
-    return parts | ({} if first.all() else beyond)
 
 
 def _arrays(offsets: Offsets, prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
@@ -346,10 +335,8 @@ def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
         np.asarray(arrays[name].value) for name in ("noll", "zernike_nm", "covariance_nm2")
     )
     lit = clear_pupil(ctx.instrument.pupil, maps_nm.shape[-1])
-    try:
+    with refused(InputDataError, str(path)):
         found = mirror_offsets(maps_nm, nolls.tolist(), zernike_nm, covariance_nm2, lit, ctx.config.gain)
-    except ValueError as problem:
-        raise InputDataError(f"{path}: {problem}") from None
     table = _mirror_table(named, ctx.config.gain, found)
     row = MirrorRow.filled_from(found, modes=len(found.value), offset=found.value.tolist())
     line = (
@@ -387,13 +374,10 @@ def _read_modes(path: Path) -> np.ndarray:
 
     n samples lie across the diameter of the pupil, as pixels across a window; row index is y.
     """
-    try:
+    with refused(InputDataError, str(path), "; modes are a cube of n × n maps across the pupil"):
         maps, _ = first_image(path)
-    except ValueError as error:
-        raise InputDataError(f"{path}: {error}; modes are a cube of n × n maps across the pupil") from None
-    if maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
-        found = " × ".join(map(str, maps.shape))
-        raise InputDataError(f"{path}: an image of {found}; modes are a cube of n × n maps across the pupil")
+        if maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
+            raise ValueError(f"an image of {' × '.join(map(str, maps.shape))}")
     count, samples = maps.shape[:2]
     if not (LEAST_SAMPLES <= samples <= MOST_SAMPLES and 1 <= count <= MOST_MODES):
         raise InputDataError(

@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.estimate.derotator import (
@@ -104,9 +103,7 @@ Results = DerotatorResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Split the estimates of all cubes; report that this cannot be done with a single angle."""
-    cubes = cube_estimates(ctx.products["calibrate"])
-    if not cubes:
-        raise ConfigurationError("derotator needs the cubes one by one: set calibrate.each to true")
+    cubes = cube_estimates(ctx.products["calibrate"], "derotator")
     series = Series(
         cubes[0].nolls,
         ctx.config.turn_per_degree * np.array([cube.derotator_angle_deg for cube in cubes]),
@@ -114,7 +111,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         np.stack([cube.covariance_nm2 for cube in cubes]),
     )
     series = series.only(usable_modes(series.nolls, ctx.config.highest_noll))
-    rows = [AngleRow(name=cube.name, derotator_angle_deg=cube.derotator_angle_deg) for cube in cubes]
+    rows = [AngleRow.filled_from(cube) for cube in cubes]
     one_angle = len(np.unique(series.angles_deg % 360)) == 1
     return _one_angle(ctx, rows, series) if one_angle else _split(ctx, rows, series)
 

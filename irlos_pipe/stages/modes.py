@@ -128,9 +128,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     """Fit a law to the scatter of the modes, and try several numbers of modes."""
     from irlos_pipe.estimate.mode_number import MIN_FRAMES, choose, fit_mode_law, mode_scatter
 
-    cubes = cube_estimates(ctx.products["calibrate"])
-    if not cubes:
-        raise ConfigurationError("modes needs the cubes one by one: set calibrate.each to true")
+    cubes = cube_estimates(ctx.products["calibrate"], "modes")
     zernike_nm, sigma_nm = (np.stack([getattr(c, key) for c in cubes]) for key in ("zernike_nm", "sigma_nm"))
     if ctx.config.same_ncpas:
         zernike_nm = zernike_nm.mean(axis=0, keepdims=True)

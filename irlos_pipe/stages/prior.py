@@ -10,7 +10,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.product.product import Check, declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput, refused
 
 VERSION = 2
 NEEDS = ("ingest",)
@@ -69,12 +69,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
     recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
     first = recordings[0]
-    try:
+    with refused(InputDataError, first.name, "; leave the stage `prior` out for such data"):
         model = PsfModel(psf_settings(ctx.instrument, ctx.model, first), [4], device=ctx.device)
         effects = model_effects(ctx.instrument, ctx.model, first)
         law = calibrate_law(model, fixed_optics(expected(effects), model.grids))
-    except ValueError as problem:
-        raise InputDataError(f"{first.name}: {problem}; leave the stage `prior` out for such data") from None
     listed = good_pixels(effects, first.window)
     ratios = [
         axis_ratios(torch.as_tensor(one.images_e), torch.as_tensor(one.good & listed), law.angle_deg)
@@ -85,17 +83,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     )
     ratio, defocus_nm = np.concatenate(ratios), np.concatenate([law.defocus_nm(one) for one in ratios])
     introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
-    frames = [(one.name, frame) for one in recordings for frame in range(one.frames)]
-    results = PriorResults.filled_from(
-        law,
-        law_residual_nm=law.residual_nm,
-        estimates=[
-            DefocusPrior(name=name, frame=frame, introduced_nm=introduced, defocus_nm=value)
-            for (name, frame), introduced, value in zip(
-                frames, introduced_nm.tolist(), defocus_nm.tolist(), strict=True
-            )
-        ],
+    estimates = DefocusPrior.rows(
+        name=[one.name for one in recordings for _ in range(one.frames)],
+        frame=[frame for one in recordings for frame in range(one.frames)],
+        introduced_nm=introduced_nm,
+        defocus_nm=defocus_nm,
     )
+    results = PriorResults.filled_from(law, law_residual_nm=law.residual_nm, estimates=estimates)
     failed = float(np.mean(~np.isfinite(ratio)))
     message = f"{failed:.0%} of the Gaussian fits did not converge"
     low, high = law.valid_nm

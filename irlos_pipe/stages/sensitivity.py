@@ -23,7 +23,7 @@ from irlos_pipe.stages.base import Declared, StageConfig, StageContext, StageOut
 from irlos_pipe.stages.lift.stage import Mode
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.sensitivity import Configuration, Curve
+    from irlos_pipe.estimate.sensitivity import Configuration, Criterion, Curve
     from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.lift.input import Ramp
 
@@ -109,6 +109,11 @@ class CurveRow(ResultsPart):
     )
 
     @property
+    def label(self) -> str:
+        """How the frames were estimated."""
+        return f"{'with' if self.calibrated else 'without'} NCPAs, {len(self.modes)} modes"
+
+    @property
     def at_the_end(self) -> bool:
         """Whether the magnitudes end before the criterion is missed."""
         return bool(self.mag_j) and self.limit_mag == self.mag_j[-1]
@@ -176,6 +181,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
+    criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
     configurations = process_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
         curves = scan(
@@ -184,13 +190,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             bright,
             magnitudes,
             ctx.config.realisations,
-            Criterion(ctx.config.limit_nm, ctx.config.limit_failures),
+            criterion,
             ctx.seed,
             faint=faint,
             one_read=one_read,
             report=bar.update,
         )
-    return _output(ctx.config, combinations, curves, noise)
+    return _output(criterion, combinations, curves, noise)
 
 
 def _choose(ramp: Ramp, config: Config) -> np.ndarray:
@@ -226,35 +232,29 @@ def _bright(
 
 
 def _output(
-    config: Config,
+    criterion: Criterion,
     combinations: Sequence[tuple[bool, tuple[int, ...]]],
     curves: Sequence[Curve],
     noise: NoiseRow,
 ) -> StageOutput:
-    from irlos_pipe.estimate.sensitivity import Criterion
-
     rows: list[CurveRow] = []
     arrays: dict[str, Quantity] = {}
     for number, ((calibrated, nolls), curve) in enumerate(zip(combinations, curves, strict=True)):
         values = {name: getattr(curve, name) for name in CURVE}
         note = f"NCPAs {'added' if calibrated else 'left out'}, {len(nolls)} modes"
         arrays |= declared(CURVE, values, note, below=f"curves/{number}/")
-        bound = curve.bound_mag(Criterion(config.limit_nm, config.limit_failures))
-        own = {"calibrated": calibrated, "modes": list(nolls), "one_read_bound_mag": bound}
+        own = {"calibrated": calibrated, "modes": list(nolls)}
+        own["one_read_bound_mag"] = curve.bound_mag(criterion)
         rows.append(CurveRow.filled_from(curve, **own))
-    results = SensitivityResults(
-        curves=rows,
-        criterion=CriterionRow(median_abs_error_nm=config.limit_nm, failures=config.limit_failures),
-        noise=noise,
-        crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
-    )
+    level = CriterionRow(median_abs_error_nm=criterion.median_nm, failures=criterion.failure_fraction)
+    note = f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it"
+    results = SensitivityResults(curves=rows, criterion=level, noise=noise, crb_note=note)
     lines = [
         f"Noise           {_noise_text(noise)}",
-        f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
+        f"Limit           median |error| ≤ {criterion.median_nm:.0f} nm, "
+        f"failures ≤ {criterion.failure_fraction:.0%}:",
+        *(f"  {row.label}: {_limit_text(row)}" for row in rows),
     ]
-    for row in rows:
-        ncpas = "with" if row.calibrated else "without"
-        lines.append(f"  {ncpas} NCPAs, {len(row.modes)} modes: {_limit_text(row)}")
     return StageOutput(arrays, results, summary=lines)
 
 
@@ -289,10 +289,8 @@ def _noises_of(
     faint = recorded if told is None else told.beyond(recorded)
     one_read = recorded if told is None else NoiseModel(1.0, told.read_noise_e**2)
     row = NoiseRow.filled_from(
-        told,
-        excess_noise_factor=faint.excess_noise_factor,
+        *(faint, told),
         exposure_s=ramp.acquisition.exposure_s or math.nan,
-        floor_e2=faint.floor_e2,
         one_read_floor_e2=one_read.floor_e2,
     )
     return faint, one_read, row

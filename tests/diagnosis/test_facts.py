@@ -21,7 +21,7 @@ from irlos_pipe.diagnosis.verdict import Adjusted
 from irlos_pipe.diagnosis.workflow import open_facts, opposite_side
 from irlos_pipe.effects import CATALOGUE, FixedEffect, everyday
 from irlos_pipe.optics.psf_settings import KnownWavefront
-from irlos_pipe.stages.diagnose.output import model_entries
+from irlos_pipe.stages.diagnose.work import model_entries
 
 pytestmark = pytest.mark.xdist_group("facts")  # its fixtures serve all tests
 

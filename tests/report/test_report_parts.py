@@ -8,7 +8,7 @@ from matplotlib.colors import AsinhNorm
 from irlos_pipe.optics.zernike import zernike
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import RunResults
-from irlos_pipe.report.curves import Look, normal_quantiles, quantile_band, quantile_figure
+from irlos_pipe.report.drawing import Look, normal_quantiles, quantile_band, quantile_figure
 from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_lift import prior_section

@@ -17,13 +17,13 @@ from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.stages.base import EffectEntry, ModelConfig
-from irlos_pipe.stages.diagnose.output import (
+from irlos_pipe.stages.diagnose.stage import Config, DiagnoseResults
+from irlos_pipe.stages.diagnose.work import (
     checks_of,
     model_yaml,
+    moments_of,
     recipe_entry,
 )
-from irlos_pipe.stages.diagnose.stage import Config, DiagnoseResults
-from irlos_pipe.stages.diagnose.work import moments_of
 from irlos_pipe.stages.model.effects import pooled_frames
 
 pytestmark = pytest.mark.xdist_group("diagnoses")  # each is made once

@@ -82,9 +82,13 @@ def test_a_copy_of_a_recording_is_left_out_and_named(tmp_path, caplog, copy):
 def test_an_image_that_pixels_or_window_cannot_hold_is_said_before_any_work(tmp_path, caplog, keys, said):
     fits.writeto(tmp_path / "cube.fits", np.ones((3, 40, 40), np.int32))
     write_sidecar(tmp_path / "acquisition.yaml", **keys)
-    for find_out in (examined, lambda *given: read_sources(*given, LOG)):
+    inputs = {"cube": [tmp_path]}
+    for find_out in (
+        lambda: examined(inputs, Config(), IRLOS),
+        lambda: read_sources(inputs, Config().keys_for, IRLOS, LOG),
+    ):
         caplog.clear()
-        find_out({"cube": [tmp_path]}, lambda _: AcquisitionKeys(), IRLOS)
+        find_out()
         lines = [one.getMessage() for one in caplog.records if "λ/D" in one.msg or "spreads" in one.msg]
         assert (len(lines) == 1 and said in lines[0]) if said else not lines
 
@@ -92,7 +96,10 @@ def test_an_image_that_pixels_or_window_cannot_hold_is_said_before_any_work(tmp_
 def test_sums_that_the_frames_do_not_make_are_said_before_any_work(tmp_path):
     fits.writeto(tmp_path / "cube.fits", np.ones((3, 40, 40), np.int32))
     write_sidecar(tmp_path / "acquisition.yaml", pixel_scale_mas=9.7, exposure_s=0.1)
-    given = {"cube": [tmp_path]}, lambda _: AcquisitionKeys(), IRLOS
-    (line,), _ = examined(*given, {"cube": 0.15}.get)
+
+    def wrong(**settings) -> list[str]:
+        return examined({"cube": [tmp_path]}, Config(**settings), IRLOS)[0]
+
+    (line,) = wrong(accumulate_s_of={"cube": 0.15})
     assert "do not add up" in line
-    assert examined(*given, {"cube": 0.2}.get)[0] == examined(*given)[0] == []
+    assert wrong(accumulate_s_of={"cube": 0.2}) == wrong() == []

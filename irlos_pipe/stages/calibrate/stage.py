@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.calibration_options import (
@@ -34,7 +35,7 @@ from irlos_pipe.product.results import (
     item,
     results_of,
 )
-from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, late
 from irlos_pipe.stages.model.groups import (
     by_setup,
     of_several_setups,
@@ -167,24 +168,17 @@ class Config(Limits):
     compare: tuple[MethodName, ...] = item((), "further methods to run, for comparison in the report only")
 
     @model_validator(mode="after")
-    def _can_be_open(self) -> "Config":
-        if self.highest_noll == OPEN and not METHODS[self.method].open:
+    def _fits_together(self) -> "Config":
+        can_be_open = METHODS[self.method].open
+        if self.highest_noll == OPEN and not can_be_open:
             raise ValueError(
                 f"'highest_noll: open' is not for method '{self.method}'; give a number, or null"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _adjusts_all_modes(self) -> "Config":
-        if self.adjust is True and (isinstance(self.highest_noll, int) or not METHODS[self.method].open):
+        if self.adjust is True and (isinstance(self.highest_noll, int) or not can_be_open):
             raise ValueError(
                 "'adjust' is for all modes that the window shows: leave out 'highest_noll', or take "
                 f"method {DEFAULT_METHOD}"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _compared_on_all(self) -> "Config":
         if self.each and self.compare:
             raise ValueError("'compare' works on all recordings together; leave it out with 'each: true'")
         return self
@@ -330,7 +324,7 @@ class CalibrateResults(Estimate, StageResults):
 
 
 Results = CalibrateResults
-run = run_of("irlos_pipe.stages.calibrate.work")
+run = late("irlos_pipe.stages.calibrate.work")
 
 
 def require(declared: Declared[Config]) -> None:
@@ -353,18 +347,21 @@ class CubeEstimate:
     sigma_nm: np.ndarray  # (modes,)
     covariance_nm2: np.ndarray  # (modes, modes)
     frames_nm: np.ndarray  # (frames, modes)
-    mean_image_e: np.ndarray  # (rows, columns)
 
 
-def cube_estimates(product: Product) -> list[CubeEstimate]:
-    """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording."""
+def cube_estimates(product: Product, stage: str) -> list[CubeEstimate]:
+    """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording.
+
+    Raises `ConfigurationError`, which names the `stage` that needs them, for another product.
+    """
     found = []
     for row in results_of(CalibrateResults, product).cubes:
-        nolls, zernike, covariance, frames, mean = (
+        nolls, zernike, covariance, frames = (
             product.arrays[f"{CUBES}/{row.name}/{name}"]
-            for name in ("noll", "zernike_nm", "covariance_nm2", "frames_nm", "mean_image_e")
+            for name in ("noll", "zernike_nm", "covariance_nm2", "frames_nm")
         )
-        modes = tuple(int(noll) for noll in nolls.value), zernike.value, np.asarray(zernike.error)
-        of_all = covariance.value, frames.value, mean.value
-        found.append(CubeEstimate(row.name, row.derotator_angle_deg, *modes, *of_all))
+        modes = tuple(nolls.value.tolist()), zernike.value, np.asarray(zernike.error)
+        found.append(CubeEstimate(row.name, row.derotator_angle_deg, *modes, covariance.value, frames.value))
+    if not found:
+        raise ConfigurationError(f"{stage} needs the cubes one by one: set calibrate.each to true")
     return found

@@ -58,12 +58,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate with the chosen method, and with the methods to compare."""
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], ctx.config.input)]
     require_calibration(recordings)
-    output = _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
-    results = output.results
-    known = isinstance(results, CalibrateResults) and (results.causes or results.no_causes)
-    if known or all(check.passed for check in output.checks):
-        return output
-    return replace(output, results=results.model_copy(update={"no_causes": SETUPS_NOT_TESTED}))
+    return _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
 
 
 def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
@@ -74,7 +69,10 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     if of_several_setups(used):
         if ctx.config.compare:
             ctx.log.warning("calibrate.compare is left out: methods are compared on frames of one set-up")
-        return _joint_output(ctx, _joint_fit(ctx, used), [], used[0].acquisition)
+        output = _joint_output(ctx, _joint_fit(ctx, used), [], used[0].acquisition)
+        if all(check.passed for check in output.checks):
+            return output
+        return replace(output, results=output.results.model_copy(update={"no_causes": SETUPS_NOT_TESTED}))
     first = recordings[0].acquisition
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
     cube, conditions = cube_input(ctx, recordings, options)
@@ -97,9 +95,9 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     output = _with_causes(ctx, joint, conditions, adopted[0])
     if first.lenslets == 1:
         return output
-    row = _lenslets(ctx, adopted[0], cube)
+    row, lines = _lenslets(ctx, adopted[0], cube)
     results = output.results.model_copy(update={"lenslets": row})
-    return replace(output, results=results, summary=[*output.summary, *_lenslet_lines(row)])
+    return replace(output, results=results, summary=[*output.summary, *lines])
 
 
 def _joint_fit(ctx: StageContext[Config], recordings: list[Recording]) -> Calibration:
@@ -112,7 +110,10 @@ def _joint_fit(ctx: StageContext[Config], recordings: list[Recording]) -> Calibr
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
-    """An estimate from every recording, and the mean over them."""
+    """An estimate from every recording; keys and arrays of a joint estimate hold the mean over the cubes.
+
+    Those of every cube stand in ``cubes``, its arrays under ``cubes/<name>/``.
+    """
     usable = [r for r in recordings if r.frames]
     failures = [_no_frame(r) for r in recordings if not r.frames]
     if not usable:
@@ -122,7 +123,33 @@ def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput
         (one, _joint_fit(ctx, [one]) if of_several_setups([one]) else _calibrate(ctx, [one], options))
         for one in usable
     ]
-    return _each_output(ctx, cubes, failures)
+    mean = _mean_calibration([result for _, result in cubes])
+    arrays = _arrays(mean, note="mean over the cubes", only=MEAN)
+    for one, result in cubes:
+        arrays |= _arrays(result, f"{CUBES}/{one.name}/")
+    why = [_undetermined(result) for _, result in cubes]
+    taken = [one.acquisition for one, _ in cubes]
+    results = CalibrateResults(
+        **_estimate(mean),
+        seeing_arcsec=float(np.mean([seeing_arcsec(ctx.instrument, one) for one in taken])),
+        wavelength_nm=float(np.mean([one.wavelength_nm for one in taken])),
+        twin=None,
+        compare=[],
+        cubes=[
+            CubeRow(
+                name=one.name, derotator_angle_deg=one.acquisition.derotator_angle_deg, **_estimate(result)
+            )
+            for one, result in cubes
+        ],
+        untested=untested_by_cubes(taken[0].diversity, next(filter(None, why), "")),
+    )
+    checks = {one.name: checks_of(ctx.config, result, f"{one.name}: ") for one, result in cubes}
+    failed = [cube for cube in cubes if not all(check.passed for check in checks[cube[0].name])]
+    lines, every = _mean_summary(mean, cubes), [check for of_one in checks.values() for check in of_one]
+    output = StageOutput(arrays, results, every, summary=lines, failures=failures)
+    own, worst = max(failed or cubes, key=lambda cube: cube[1].chi2_nu / cube[1].nominal.value)
+    conditions = cube_input(ctx, [own], worst.options)[1] if worst.fit else None
+    return _with_causes(ctx, output, conditions, worst, own.name)
 
 
 def _no_frame(recording: Recording) -> str:
@@ -287,43 +314,6 @@ def _joint_output(
     return StageOutput(_arrays(result), results, checks_of(ctx.config, result), summary=summary)
 
 
-def _each_output(
-    ctx: StageContext[Config], cubes: Sequence[tuple[Recording, Calibration]], failures: Sequence[str]
-) -> StageOutput:
-    """One estimate per recording; the keys and arrays of a joint estimate hold the mean over the cubes.
-
-    Those of every cube stand in ``cubes``, its arrays under ``cubes/<name>/``. `failures` has one line per
-    recording that could not be used.
-    """
-    mean = _mean_calibration([result for _, result in cubes])
-    arrays = _arrays(mean, note="mean over the cubes", only=MEAN)
-    for one, result in cubes:
-        arrays |= _arrays(result, f"{CUBES}/{one.name}/")
-    why = [_undetermined(result) for _, result in cubes]
-    taken = [one.acquisition for one, _ in cubes]
-    results = CalibrateResults(
-        **_estimate(mean),
-        seeing_arcsec=float(np.mean([seeing_arcsec(ctx.instrument, one) for one in taken])),
-        wavelength_nm=float(np.mean([one.wavelength_nm for one in taken])),
-        twin=None,
-        compare=[],
-        cubes=[
-            CubeRow(
-                name=one.name, derotator_angle_deg=one.acquisition.derotator_angle_deg, **_estimate(result)
-            )
-            for one, result in cubes
-        ],
-        untested=untested_by_cubes(taken[0].diversity, next(filter(None, why), "")),
-    )
-    checks = [check for one, result in cubes for check in checks_of(ctx.config, result, f"{one.name}: ")]
-    output = StageOutput(arrays, results, checks, summary=_mean_summary(mean, cubes), failures=failures)
-    wrong = [check.name for check in checks if not check.passed]
-    failed = [cube for cube in cubes if any(name.startswith(f"{cube[0].name}: ") for name in wrong)]
-    own, worst = max(failed or cubes, key=lambda cube: cube[1].chi2_nu / cube[1].nominal.value)
-    conditions = cube_input(ctx, [own], worst.options)[1] if worst.fit else None
-    return _with_causes(ctx, output, conditions, worst, own.name)
-
-
 def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
     """Return the plain mean of estimates from cubes, which count equally however bright they are.
 
@@ -477,13 +467,19 @@ def _ncpa_text(result: Calibration) -> str:
 
 def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
     few = ["  errors from the noise model and the misfit: too few frames to show their scatter"]
+    law = []
+    if tail := _tail(result):
+        law = [
+            f"  {f'Noll {tail.first_noll}–{result.nolls[-1]}':{LABEL_WIDTH}s}{tail.wfe_nm:.1f} nm RMS, "
+            f"law {tail.amplitude_nm:.2g} nm each, as order^{-tail.slope:.1f}"
+        ]
     return [
         f"{_ncpa_text(result)} ({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
         f"nominal {result.nominal.value:.2f})",
         *(few if result.errors_from != "frames" else []),
         *([] if result.motion is None else [f"  {motion_line(result.motion)}"]),
         *([ADJUSTED] if result.adjusted else []),
-        *_tail_lines(result),
+        *law,
         *_effect_lines(result.effects, result.effects_sigma),
         *(
             f"  beside: {wfe_nm(other.nolls, other.zernike_nm, HIGHER):.1f} nm RMS ({other.options.method}, "
@@ -491,16 +487,6 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
             for other in others
         ),
         CUBES_IN_SHORT,
-    ]
-
-
-def _tail_lines(result: Calibration) -> list[str]:
-    tail = _tail(result)
-    if tail is None:
-        return []
-    return [
-        f"  {f'Noll {tail.first_noll}–{result.nolls[-1]}':{LABEL_WIDTH}s}{tail.wfe_nm:.1f} nm RMS, "
-        f"law {tail.amplitude_nm:.2g} nm each, as order^{-tail.slope:.1f}"
     ]
 
 
@@ -523,8 +509,13 @@ def _mean_summary(mean: Calibration, cubes: Sequence[tuple[Recording, Calibratio
 TRIED_NOLLS = tuple(range(2, 46))
 
 
-def _lenslets(ctx: StageContext[Config], result: Calibration, cube: Setup) -> Lenslets:
-    """Return what the images of `cube` determine in addition to the prior, and what their centroids say."""
+def _lenslets(
+    ctx: StageContext[Config], result: Calibration, cube: Setup
+) -> tuple[Lenslets, tuple[str, ...]]:
+    """Return what the images of `cube` determine in addition to the prior, and what their centroids say.
+
+    Also as lines for the terminal.
+    """
     law = ctx.instrument.facility.ncpa_law
     scale = ctx.config.prior_scale or Config().prior_scale or 1.0
     known = dict(zip(result.nolls, result.fitted_modes_nm.tolist(), strict=True))
@@ -538,7 +529,7 @@ def _lenslets(ctx: StageContext[Config], result: Calibration, cube: Setup) -> Le
     )
     count = len(per_frame)
     sigma = per_frame.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(len(NOLLS), np.nan)
-    return Lenslets(
+    row = Lenslets(
         modes_tried=len(TRIED_NOLLS),
         combinations=tried.combinations,
         information=tried.information.tolist(),
@@ -547,6 +538,13 @@ def _lenslets(ctx: StageContext[Config], result: Calibration, cube: Setup) -> Le
         bound_nm=dict(zip(result.nolls, own.bound_nm.tolist(), strict=True)),
         centroids_nm=dict(zip(NOLLS, per_frame.mean(axis=0).tolist(), strict=True)),
         centroids_sigma_nm=dict(zip(NOLLS, sigma.tolist(), strict=True)),
+    )
+    return row, (
+        f"Lenslets        by their noise the four images determine {row.combinations} of {row.modes_tried} "
+        f"combinations of Noll 2–{TRIED_NOLLS[-1]}, {len(row.determined)} modes to half of their prior",
+        "  speckles, and places of the images that nobody knows, leave fewer: docs/two_by_two.md",
+        f"  defocus from centroids {row.centroids_nm[4]:+.1f} ± {row.centroids_sigma_nm[4]:.1f} nm, "
+        f"Cramér–Rao bound of the fit {row.bound_nm.get(4, np.nan):.1f} nm",
     )
 
 
@@ -559,13 +557,3 @@ def _identified(ctx, result: Calibration, cube: Setup, known: dict, nolls: tuple
     values = [result.effect_values[label] for label in ordered]
     start = torch.as_tensor(np.concatenate([*values, np.empty(0)]))
     return identified(model, known, start, cube.frames, prior.sigma_nm(nolls).numpy())
-
-
-def _lenslet_lines(row: Lenslets) -> list[str]:
-    return [
-        f"Lenslets        by their noise the four images determine {row.combinations} of {row.modes_tried} "
-        f"combinations of Noll 2–{TRIED_NOLLS[-1]}, {len(row.determined)} modes to half of their prior",
-        "  speckles, and places of the images that nobody knows, leave fewer: docs/two_by_two.md",
-        f"  defocus from centroids {row.centroids_nm[4]:+.1f} ± {row.centroids_sigma_nm[4]:.1f} nm, "
-        f"Cramér–Rao bound of the fit {row.bound_nm.get(4, np.nan):.1f} nm",
-    ]

@@ -16,7 +16,7 @@ from irlos_pipe.optics.image_quality import CURVES
 from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
 from irlos_pipe.product.runfolder import RunFolder
-from irlos_pipe.stages.base import StageConfig, run_of
+from irlos_pipe.stages.base import StageConfig, late
 
 VERSION = 38
 NEEDS = ("ingest",)
@@ -219,4 +219,4 @@ class DiagnoseResults(StageResults):
 
 
 Results = DiagnoseResults
-run = run_of("irlos_pipe.stages.diagnose.work")
+run = late("irlos_pipe.stages.diagnose.work")

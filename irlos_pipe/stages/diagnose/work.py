@@ -4,41 +4,46 @@ On a ramp these are errors of the focus stage by the estimates of `lift`, and of
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
+import yaml
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.ramp import LightPathName, RampDiagnosis, RampName, compare, diagnose_ramp, ramp_gap
 from irlos_pipe.diagnosis.records import Alternative, Gap
-from irlos_pipe.diagnosis.verdict import EFFECT, Diagnosis
+from irlos_pipe.diagnosis.sharing import Together
+from irlos_pipe.diagnosis.verdict import EFFECT, UNKNOWN, Diagnosis, Pictures, Step, sentence
 from irlos_pipe.diagnosis.view import Exposures, Moments, Screened, placed
 from irlos_pipe.diagnosis.workflow import diagnose
-from irlos_pipe.effects import CATALOGUE, Effect, EffectSet
+from irlos_pipe.effects import CATALOGUE, Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.planes import LensEffect
 from irlos_pipe.estimate.cube import kurtosis_of_frames
 from irlos_pipe.estimate.ramp_fit import RampFit
-from irlos_pipe.frames.recording import Recording
-from irlos_pipe.product.product import Product, declared
-from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.frames.recording import Recording, star_position
+from irlos_pipe.optics.image_quality import power_spectrum, quality_curves
+from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.wavefront import MapSize
+from irlos_pipe.product.product import Check, Product, Quantity, declared
+from irlos_pipe.stages.base import ModelConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.quality import frame_checks
-from irlos_pipe.stages.diagnose.output import (
-    MODEL_FILE,
-    checks_of,
-    diagnose_arrays,
-    diagnose_results,
-    model_entries,
-    model_yaml,
-    quality_arrays,
-    summary_lines,
+from irlos_pipe.stages.diagnose.stage import (
+    ARRAYS,
+    AdjustedRow,
+    Change,
+    Config,
+    DiagnoseResults,
+    FrameCounts,
+    ModesChange,
+    StepRow,
 )
-from irlos_pipe.stages.diagnose.stage import ARRAYS, Change, Config, DiagnoseResults, StepRow
 from irlos_pipe.stages.ingest.stage import recordings_from_product, screened_e
 from irlos_pipe.stages.lift.input import (
     Ramp,
@@ -59,34 +64,32 @@ from irlos_pipe.stages.model.effects import (
     psf_settings,
 )
 from irlos_pipe.stages.model.groups import require_common
+from irlos_pipe.stages.model.untested import LOOKED_AT_ELSEWHERE, untested_by_cubes
 
+MODEL_FILE = "model.yaml"
 EXPECTED_FITS = 11  # fits that one cube takes, for the progress bar
-APART = {"auto": None, "together": False, "apart": True}
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Diagnose the recipe's input: behind the stage `lift` a ramp, else cubes of one wavefront."""
-    if "lift" in ctx.products:
-        output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
-        return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
-    apart = APART[ctx.config.recordings]
+    output, entries = _on_ramp(ctx) if "lift" in ctx.products else _on_cubes(ctx)
+    return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
+
+
+def _on_cubes(ctx: StageContext[Config]) -> tuple[StageOutput, list[dict[str, Any]]]:
+    """The output, and the entries that what was found adds to the model's effects."""
+    apart = {"auto": None, "together": False, "apart": True}[ctx.config.recordings]
     groups = _by_setting(ctx.products["ingest"], ctx.config.input, apart=apart)
-    result, settings = _diagnose(ctx, groups), psf_settings(ctx.instrument, ctx.model, groups[0].first)
-    model = model_yaml(ctx.model, model_entries(result))
+    of_groups = [psf_settings(ctx.instrument, ctx.model, alike.first) for alike in groups]
+    result = _diagnose(ctx, groups)
     results = diagnose_results(result, groups[0].first.acquisition.diversity)
     checks = checks_of(results)
-    for alike in groups:
+    for alike, settings in zip(groups, of_groups, strict=True):
         window = alike.first.window
-        of_frames = psf_settings(ctx.instrument, ctx.model, alike.first)
-        frames = pooled_frames(alike.recordings, np.ones(window, bool), of_frames)
+        frames = pooled_frames(alike.recordings, np.ones(window, bool), settings)
         checks += frame_checks(kurtosis_of_frames(frames), frames.motion, window)
-    return StageOutput(
-        diagnose_arrays(result) | quality_arrays(result.pictures, settings),
-        results,
-        checks,
-        files={MODEL_FILE: model},
-        summary=summary_lines(result),
-    )
+    arrays = diagnose_arrays(result) | quality_arrays(result.pictures, of_groups[0])
+    return StageOutput(arrays, results, checks, summary=summary_lines(result)), model_entries(result)
 
 
 def _diagnose(ctx: StageContext[Config], groups: "list[Alike]") -> Diagnosis:
@@ -104,8 +107,7 @@ def _diagnose(ctx: StageContext[Config], groups: "list[Alike]") -> Diagnosis:
         config.night_drift_nm,
         config.begin_near,
     )
-    in_images = {moment: image_effects(some) for moment, some in effects.items()}
-    model = placed(in_images, Moments.of(exposures))
+    model = placed({one: image_effects(some) for one, some in effects.items()}, Moments.of(exposures))
     with ctx.progress(total=EXPECTED_FITS * len(effects), desc="diagnose") as bar:
         return diagnose(exposures, model, options, device=ctx.device, report=bar.update)
 
@@ -123,7 +125,7 @@ def _exposures(ctx: StageContext[Config], alike: "Alike", effects: list[Effect])
         [Screened(*pixel, value_e) for pixel, value_e in shown_e.items() if np.isfinite(value_e)],
         alike.moment,
         first.name,
-        alike.star,
+        first.acquisition.target,
     )
 
 
@@ -138,21 +140,11 @@ class Alike:
     """Recordings of one moment with equal settings."""
 
     recordings: Sequence[Recording]  # in order of time
-    moment: int = 0  # number of the star and night
+    moment: int  # number of the star and night
 
     @property
     def first(self) -> Recording:
         return self.recordings[0]
-
-    @property
-    def star(self) -> str:
-        """What the side-car or header calls it."""
-        return self.first.acquisition.target
-
-    @property
-    def diversity_nm(self) -> float:
-        """Size of the diversity [nm RMS]."""
-        return float(np.linalg.norm(list(self.first.acquisition.diversity.values())))
 
 
 def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -> list[Alike]:
@@ -172,7 +164,7 @@ def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) 
         setting = told.spectrum, diversity, _introduced_nm(recording), told.pupil_rotation_deg
         groups.setdefault((moment, *setting), []).append(recording)
     found = [Alike(alike, key[0]) for key, alike in groups.items()]
-    return sorted(found, key=lambda alike: -alike.diversity_nm)
+    return sorted(found, key=lambda alike: -np.linalg.norm([*alike.first.acquisition.diversity.values()]))
 
 
 def moments_of(recordings: Sequence[Recording], apart: bool | None = None) -> list[int]:
@@ -203,21 +195,184 @@ def _introduced_nm(recording: Recording) -> float:
     return float(values[0]) if len(values) else 0.0
 
 
-def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[str, Any]]]:
-    """Diagnose the ramp that `lift` estimated; `ctx` has its product, one frame in `every` is held out.
+# -- what is reported of cubes: results, check, arrays, lines for the terminal -------------------------
 
-    Returns the output, and the entries that what was found adds to the model's effects.
+
+def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> DiagnoseResults:
+    """Return the `result` of a diagnosis of cubes that were taken with a diversity `diversity_nm`."""
+    modes = [_by_noll(result, one) for one in result.modes_nm]
+    return DiagnoseResults.filled_from(
+        result,
+        untested=untested_by_cubes(diversity_nm, LOOKED_AT_ELSEWHERE),
+        sentence=sentence(result),
+        steps=[_step(step, result.together) for step in result.steps],
+        nearest=None if result.nearest is None else _step(result.nearest, result.together),
+        open_facts={one.name: one.base.describe(one.values) for one in result.open_facts},
+        adjusted=[
+            AdjustedRow.filled_from(one, effect=one.label, parameters=one.public) for one in result.adjusted
+        ],
+        tried=list(result.tried),
+        untestable=list(result.untestable),
+        recordings=list(result.together.stars) if result.together else [],
+        sharing=list(result.together.sharing.values()) if result.together else [],
+        second_recording=dict(result.advice),
+        model=MODEL_FILE,
+        fine_structure=result.fine,
+        chi2_nu=Change.of(result.chi2_nu),
+        excess_sigma=Change.of(result.excess_sigma),
+        frames=FrameCounts(training=result.frames[0], held_out=result.frames[1]),
+        added_wavefront=MapSize.of(result.pictures.added_opd_nm),
+        zernike_nm=ModesChange(before=modes[0], after=modes[1]),
+        sigma_nm=_by_noll(result, result.modes_sigma_nm),
+        seconds=round(result.seconds, 3),
+    )
+
+
+def checks_of(results: DiagnoseResults) -> list[Check]:
+    """Return the check of a diagnosis: that the model with what was named in `results` lacks nothing."""
+    explained = results.verdict != UNKNOWN and not results.unexplained
+    grade = f", {results.grade}" if results.grade and results.grade != results.verdict else ""
+    rest = results.rest.text if results.rest else ""
+    left = "" if explained else results.why_unknown or rest  # the whole sentence stands beside it
+    message = f"{results.verdict}{grade}: {left or results.sentence}"
+    return [Check("everything explained", float(explained), "", 1.0, None, message)]
+
+
+def _step(step: Step, together: Together | None) -> StepRow:
+    return StepRow.filled_from(
+        step,
+        effect=step.label,
+        indistinguishable=[other.name for other in step.alternatives],
+        alternatives=list(step.alternatives),
+        parameters=step.public,
+        shown=step.shown or step.public,
+        shown_sigma=step.shown_sigma or step.sigma,
+        held_out_z=step.preference,
+        gap_before=step.gap.before,
+        gap_after=step.gap.after,
+        ranking=list(step.ranking),
+        recordings=[] if together is None else step.found_in(together.moments),
+    )
+
+
+def _by_noll(result: Diagnosis, values: np.ndarray) -> dict[int, float]:
+    both = zip(result.nolls, values.tolist(), strict=True)
+    return {noll: value for noll, value in both if noll <= HIGHEST_REPORTED_NOLL}
+
+
+def diagnose_arrays(result: Diagnosis) -> dict[str, Quantity]:
+    """Return images, maps and modes of a diagnosis of cubes."""
+    pictures, (before, after) = result.pictures, result.modes_nm
+    values = {
+        "measured_e": (pictures.measured_e, np.where(np.isfinite(pictures.sigma_e), pictures.sigma_e, 0.0)),
+        "before_e": pictures.before_e,
+        "after_e": pictures.after_e,
+        "leading_mode": pictures.leading,
+        "added_opd_nm": pictures.added_opd_nm,
+        "added_amplitude": pictures.added_amplitude,
+        "noll": result.nolls,
+        "zernike_before_nm": before,
+        "zernike_after_nm": (after, result.modes_sigma_nm),
+    }
+    return declared(ARRAYS, values)
+
+
+def summary_lines(result: Diagnosis) -> list[str]:
+    """Return the lines for the terminal."""
+    gap, held_out = result.gap, result.held_out
+    lines = [f"diagnosis       {result.verdict}: {sentence(result)}"]
+    lines.append(
+        f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} "
+        f"(held-out {held_out}), χ²/ν {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}, "
+        f"{result.seconds:.0f} s"
+    )
+    if result.unexplained:
+        lines.append(f"  left            {result.rest.text}")
+    for step in result.steps:
+        if step.unusual:
+            lines.append(f"  unusual         {step.label}: {', '.join(step.unusual)} beyond what is usual")
+    if result.open_facts:
+        lines.append(f"  free as well    {', '.join(one.name for one in result.open_facts)} in {MODEL_FILE}")
+    lines.append(f"  noise           {result.noise.text}")
+    fine = result.fine
+    lines.append(f"  finer than D/λ  {fine.ratio:.2f} × what noise leaves there, {fine.significance:.1f} σ")
+    return lines
+
+
+# -- OTF, encircled energy, and power of what is left, measured and predicted ------------------------
+
+
+def quality_arrays(pictures: Pictures, settings: PsfSettings) -> dict[str, Quantity]:
+    """Return the curves of the mean held-out image and of its predictions, `pictures` under `settings`.
+
+    Pixels that are not used hold the prediction after in all three. Light is that of the window.
     """
-    began = time.perf_counter()
+    used = np.isfinite(pictures.sigma_e) & (pictures.sigma_e > 0)
+    resolution_px, scale_mas = settings.resolution_px, settings.pixel_scale_mas
+    images = {"measured": pictures.measured_e, "before": pictures.before_e, "after": pictures.after_e}
+    centre = star_position(np.nan_to_num(pictures.after_e))
+    whole = {name: np.where(used, image, pictures.after_e) for name, image in images.items()}
+    arrays = quality_curves(whole, centre, resolution_px, scale_mas, of_window=True)
+    for name in ("before", "after"):
+        left = np.where(
+            used, (pictures.measured_e - images[name]) / np.where(used, pictures.sigma_e, 1), np.nan
+        )
+        power = power_spectrum(left, resolution_px)
+        arrays |= {"left_frequency": power.at, f"left_power_{name}": power.value}
+    return declared(ARRAYS, arrays)
+
+
+# -- the model with what was found -------------------------------------------------------------
+
+
+def model_yaml(model: ModelConfig, entries: Sequence[dict[str, Any]]) -> bytes:
+    """Return the section `model` of a recipe with `entries` added to its effects, as YAML."""
+    section = model.model_dump(mode="json")
+    section["effects"] = _with_one_list_of_pixels([*section["effects"], *entries])
+    return yaml.safe_dump(section, sort_keys=False, allow_unicode=True).encode()
+
+
+def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
+    """Entries of which a single one lists all bad pixels."""
+    (name,) = (name for name, kind in CATALOGUE.items() if kind.found_by == "pixels")
+    listed = [entry[name]["pixels"] for entry in effects if isinstance(entry, dict) and name in entry]
+    if len(listed) < 2:
+        return effects
+    others = [entry for entry in effects if not (isinstance(entry, dict) and name in entry)]
+    pixels = sorted({tuple(pixel) for part in listed for pixel in part})
+    return [*others, {name: {"pixels": [list(pixel) for pixel in pixels]}}]
+
+
+def model_entries(result: Diagnosis) -> list[dict[str, Any]]:
+    """Return what a diagnosis found, adjusted or leaves free, common to its recordings, as entries."""
+    found = [one.effect for one in (*result.steps, *result.adjusted)]
+    return [recipe_entry(one) for one in (*found, *result.open_facts) if one.acts_in is None]
+
+
+def recipe_entry(effect: FixedEffect) -> dict[str, Any]:
+    """Return an effect as an entry of the section: values to start from, fitted where that helps."""
+    kind, public = CATALOGUE[effect.name], effect.base.describe(effect.values)
+    values = {p.name: public[p.name] for p in kind.public if p.name in public}
+    # tables by integer, as in the YAML of a recipe
+    values |= {key: {int(i): one for i, one in v.items()} for key, v in values.items() if isinstance(v, dict)}
+    words = {o.name: getattr(effect.base, o.name) for o in kind.options if o.kind == "word"}
+    options = {name: word for name, word in words.items() if word}
+    return {effect.name: values | options | ({"fit": True} if kind.found_by == "score" else {})}
+
+
+# -- a ramp -----------------------------------------------------------------------------------
+
+
+def _on_ramp(ctx: StageContext[Config]) -> tuple[StageOutput, list[dict[str, Any]]]:
+    """The output of the ramp that `lift` estimated, and the entries that are added to the model's effects."""
+    began, every = time.perf_counter(), round(1 / ctx.config.held_out)
     ramp = read_ramp(ctx, ctx.config.input)
     lift = ctx.products["lift"]
     held_out = frames_held_out(ramp.commanded_nm, every)
     ctx, lens, fit = _preferred_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
     estimated = fit.defocus_nm if lens and fit else np.asarray(lift.arrays["defocus_nm"].value, float)
-    try:
+    with ramp.refused():
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
-    except ValueError as problem:
-        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
     if lens and not lens.comparison.complete:  # the stage is not to blame for errors of the model
         result = replace(result, names=[], nearest=result.names or result.nearest)
     corrected = result.introduced_nm(ramp.commanded_nm)
@@ -225,22 +380,30 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
     gap = ramp_gap(model, ramp.data, modes, ramp.commanded_nm, corrected, held_out)
     if lens and not result.names:
         gap = replace(gap, before=lens.comparison.gap[0], after=lens.comparison.gap[1])
-    results = _results(ramp, result, lens, gap, estimated, corrected, time.perf_counter() - began)
-    output = StageOutput(
-        declared(
-            ARRAYS,
-            {"commanded_nm": ramp.commanded_nm, "corrected_nm": corrected, "estimated_nm": estimated},
-        ),
-        results,
-        checks_of(results),
-        summary=[
-            f"diagnosis       {EFFECT if lens else result.verdict}: {sentence(result, lens)}",
-            f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} (held-out "
-            f"frames), χ²/ν of the offsets {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}",
-        ],
+    arrays = {"commanded_nm": ramp.commanded_nm, "corrected_nm": corrected, "estimated_nm": estimated}
+    errors = [float(np.sqrt(np.nanmean((estimated - one) ** 2))) for one in (ramp.commanded_nm, corrected)]
+    results = DiagnoseResults(
+        verdict=EFFECT if lens else result.verdict,
+        sentence=_ramp_sentence(result, lens),
+        steps=[*_lens_steps(lens), *(_ramp_step(one, gap) for one in result.names)],
+        nearest=_ramp_step(result.nearest[0], gap) if result.nearest else None,
+        gap=gap,
+        unexplained=result.verdict == UNKNOWN or (lens is not None and not lens.comparison.complete),
+        untestable=list(result.untestable),
+        mdb=result.smallest,
+        model=MODEL_FILE,
+        chi2_nu=Change.of(result.chi2_nu),
+        defocus_error_nm=Change.of(errors),
+        seconds=time.perf_counter() - began,
     )
+    lines = [
+        f"diagnosis       {results.verdict}: {results.sentence}",
+        f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} (held-out "
+        f"frames), χ²/ν of the offsets {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}",
+    ]
     lenses = [{lens.effect.name: lens.public}] if lens else []
-    return output, [*lenses, *({one.name: one.public} for one in result.names)]
+    entries = [*lenses, *({one.name: one.public} for one in result.names)]
+    return StageOutput(declared(ARRAYS, arrays), results, checks_of(results), summary=lines), entries
 
 
 def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
@@ -268,51 +431,24 @@ def _lift_model(ctx: StageContext, ramp: Ramp, lift: Product) -> tuple[ImageMode
     return held, torch.as_tensor(np.nan_to_num(np.asarray(lift.arrays["zernike_nm"].value, float)))
 
 
-def _results(
-    ramp: Ramp,
-    result: RampDiagnosis,
-    lens: LightPathName | None,
-    gap: Gap,
-    estimated: np.ndarray,
-    corrected: np.ndarray,
-    seconds: float,
-) -> DiagnoseResults:
-    errors = [float(np.sqrt(np.nanmean((estimated - one) ** 2))) for one in (ramp.commanded_nm, corrected)]
-    return DiagnoseResults(
-        verdict=EFFECT if lens else result.verdict,
-        sentence=sentence(result, lens),
-        steps=[*_lens_steps(lens), *(_step(one, gap) for one in result.names)],
-        nearest=_step(result.nearest[0], gap) if result.nearest else None,
-        gap=gap,
-        unexplained=result.verdict == "unknown" or (lens is not None and not lens.comparison.complete),
-        untestable=list(result.untestable),
-        mdb=result.smallest,
-        model=MODEL_FILE,
-        chi2_nu=Change.of(result.chi2_nu),
-        defocus_error_nm=Change.of(errors),
-        seconds=seconds,
-    )
-
-
 def _lens_steps(lens: LightPathName | None) -> list[StepRow]:
     if lens is None:
         return []
     found = lens.comparison
-    return [
-        StepRow(
-            effect=lens.effect.name,
-            parameters=lens.public,
-            phrase=lens.phrase,
-            shown=lens.public,
-            significance=found.significance,
-            explained=1 - (found.chi2_nu[1] - 1) / (found.chi2_nu[0] - 1),
-            gap_before=found.gap[0],
-            gap_after=found.gap[1],
-        )
-    ]
+    step = StepRow(
+        effect=lens.effect.name,
+        parameters=lens.public,
+        phrase=lens.phrase,
+        shown=lens.public,
+        significance=found.significance,
+        explained=1 - (found.chi2_nu[1] - 1) / (found.chi2_nu[0] - 1),
+        gap_before=found.gap[0],
+        gap_after=found.gap[1],
+    )
+    return [step]
 
 
-def _step(one: RampName, gap: Gap) -> StepRow:
+def _ramp_step(one: RampName, gap: Gap) -> StepRow:
     reason = "their courses over the visits are alike"
     return StepRow.filled_from(
         one,
@@ -332,29 +468,23 @@ def _step(one: RampName, gap: Gap) -> StepRow:
     )
 
 
-def sentence(result: RampDiagnosis, lens: LightPathName | None = None) -> str:
+def _ramp_sentence(result: RampDiagnosis, lens: LightPathName | None) -> str:
     """Return the verdict as a sentence; `lens` is the lens effect that the images prefer."""
-    if lens is not None:
-        if not lens.comparison.complete:
-            near = " and ".join(one.phrase for one in result.nearest)
-            left = f"Held-out frames still have χ²/ν {lens.comparison.chi2_nu[1]:.1f}"
-            more = f"; it would be {near}" if near else ""
-            return (
-                f"The images need {lens.phrase}. {left}: something else is missing in them, "
-                f"and no error of the focus stage can be named{more}."
-            )
-        return f"The images need {lens.phrase}. With it: {_stage_sentence(result)}"
-    return _stage_sentence(result)
-
-
-def _stage_sentence(result: RampDiagnosis) -> str:
-    if result.verdict == "unknown":
-        near = " and ".join(one.phrase for one in result.nearest)
+    near = " and ".join(one.phrase for one in result.nearest)
+    if lens is not None and not lens.comparison.complete:
+        left = f"Held-out frames still have χ²/ν {lens.comparison.chi2_nu[1]:.1f}"
+        more = f"; it would be {near}" if near else ""
+        return (
+            f"The images need {lens.phrase}. {left}: something else is missing in them, "
+            f"and no error of the focus stage can be named{more}."
+        )
+    stage = f"The ramp needs {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
+    if result.verdict == UNKNOWN:
         nearest = f"; the nearest is {near}" if near else ""
-        return f"The ramp does not follow its offsets, and no error of the focus stage explains it{nearest}."
-    if not result.names:
-        return "The focus stage does what is commanded."
-    return f"The ramp needs {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
+        stage = f"The ramp does not follow its offsets, and no error of the focus stage explains it{nearest}."
+    elif not result.names:
+        stage = "The focus stage does what is commanded."
+    return f"The images need {lens.phrase}. With it: {stage}" if lens else stage
 
 
 # -- what introduced defocus is: effects of lenses, from fits of the images --------------------------
@@ -393,6 +523,4 @@ def _preferred_lens(
 
 def _fitted(ctx: StageContext, ramp: Ramp, held_out: np.ndarray) -> RampFit:
     """LIFT as it was asked for; what all frames share comes from the frames that are not held out."""
-    config = LiftConfig(**ctx.products["lift"].config)
-    lift = replace(ctx, config=config)
-    return fit_frames(lift, ramp, calibrated=config.calibrated, halo=config.halo, seen=~held_out)
+    return fit_frames(replace(ctx, config=LiftConfig(**ctx.products["lift"].config)), ramp, seen=~held_out)

@@ -2,24 +2,26 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.reads import adds_up
 from irlos_pipe.conventions.units import MAS_PER_RAD, NM, resolution_px
-from irlos_pipe.frames.recording import CalibrationMaps, Recording, mean_frame
+from irlos_pipe.frames.recording import Recording, mean_frame
 from irlos_pipe.frames.told import mean_variance
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers import find
 from irlos_pipe.readers.acquisition import RawRecording, Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
 from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path, sidecar_problems
 from irlos_pipe.readers.times import counter_step
+from irlos_pipe.stages.ingest.stage import Config
 
 OTHER_EXPOSURE = 0.01  # relative difference from which the exposure of a dark is another
 SHORT_COUNTS = 2  # bytes of the counts of a converter, which saturate with their type; sums of them do not
@@ -77,37 +79,35 @@ def failing_alone(
 
 def _unless_a_copy(source: Resolved, earlier: Sequence[Resolved], log: logging.Logger) -> list[Resolved]:
     """The recording, unless its frames are those of an earlier one of the input: they would count twice."""
-    first = next((other for other in earlier if _same_frames(other.raw, source.raw)), None)
+    raw = source.raw
+    alike = (one for one in earlier if one.raw.path != raw.path and one.raw.adu.shape == raw.adu.shape)
+    alike = (one for one in alike if np.array_equal(one.raw.adu[0], raw.adu[0]))  # as nearly none are
+    first = next((one for one in alike if np.array_equal(one.raw.adu, raw.adu)), None)
     if first is None:
         return [source]
     same_defocus = np.array_equal(first.introduced_defocus_nm, source.introduced_defocus_nm)
     if first.acquisition != source.acquisition or not same_defocus:
         raise InputDataError(
-            f"{source.raw.path}: the same frames as in {first.raw.path}, but another side-car; remove one"
+            f"{raw.path}: the same frames as in {first.raw.path}, but another side-car; remove one"
         )
-    log.warning("%s: left out, a copy of %s", source.raw.path, first.raw.path)
+    log.warning("%s: left out, a copy of %s", raw.path, first.raw.path)
     return []
 
 
-def _same_frames(one: RawRecording, other: RawRecording) -> bool:
-    """Whether two files hold the same frames; the first frame alone distinguishes nearly all."""
-    if one.path == other.path or one.adu.shape != other.adu.shape:
-        return False
-    same = np.array_equal(one.adu[0], other.adu[0])
-    return same and np.array_equal(one.adu, other.adu)
+def files_of(root: Path) -> list[Path]:
+    """Return every file that ingest reads of an input, given as a file or folder `root`."""
+    with suppress(NothingToDo):
+        return [path for recording in recording_files([root]) for path in find.files_of(recording)]
+    return []
 
 
 def examined(
-    inputs: Mapping[str, Sequence[Path]],
-    keys_for: Callable[[str], AcquisitionKeys],
-    instrument: Instrument,
-    exposure_of: Callable[[str], float | None] = lambda input_name: None,
+    inputs: Mapping[str, Sequence[Path]], config: Config, instrument: Instrument
 ) -> tuple[list[str], list[Recording]]:
-    """Return a line for everything that keeps `read_sources`, of equal arguments, from reading a recording.
+    """Return a line for everything that keeps the recordings of `inputs` from being read or `accumulated`.
 
-    Or its frames from being `accumulated` to exposures of ``exposure_of(input_name)``. With them go the
-    recordings that are no darks as they are declared, their images dark. Raises `NothingToDo` for an input
-    without recordings.
+    With them go the recordings that are no darks as they are declared, their images dark. Raises
+    `NothingToDo` for an input without recordings.
     """
     found: list[tuple[str, str]] = []
     recordings: list[Recording] = []
@@ -118,17 +118,17 @@ def examined(
             with failing_alone(found, name, file, logging.getLogger(__name__)):
                 for raw in () if wrong else read_recordings(file, instrument):
                     then = _instrument_then(instrument, raw.start_unix_s)
-                    source = resolve(raw, keys_for(name), then, name)
+                    source = resolve(raw, config.keys_for(name), then, name)
                     for line in (*raw.warnings, *image_doubts(source, then)):
                         logging.getLogger(__name__).warning(line)
                     if source.acquisition.role != "dark":
-                        _sums(source, exposure_of(name))
-                        recordings.append(_as_declared(source))
+                        _sums(source, config.exposure_of(name))
+                        recordings.append(as_declared(source))
     return list(dict.fromkeys(line for _, line in found)), recordings  # they may share a side-car
 
 
-def _as_declared(source: Resolved) -> Recording:
-    """The recording without its counts."""
+def as_declared(source: Resolved) -> Recording:
+    """Return the recording of a `source` before its counts are looked at: all used and good, and dark."""
     raw, every = source.raw, np.ones(source.raw.frames, bool)
     return Recording(
         name=raw.name,
@@ -202,12 +202,8 @@ def _with_dark(source: Resolved, darks: Sequence[Resolved], log: logging.Logger)
             "%s: the dark %s is of %g s, the frames of %g s: its dark current is another",
             *(source.raw.name, nearest.raw.name, dark_s, own_s),
         )
-    frames = nearest.raw.adu
-    maps = replace(
-        source.raw.calibration,
-        dark_adu=mean_frame(frames),
-        dark_variance_adu2=mean_variance(frames),
-    )
+    dark_adu, variance_adu2 = mean_frame(nearest.raw.adu), mean_variance(nearest.raw.adu)
+    maps = replace(source.raw.calibration, dark_adu=dark_adu, dark_variance_adu2=variance_adu2)
     return replace(source, raw=replace(source.raw, calibration=maps))
 
 
@@ -237,7 +233,8 @@ def accumulated(source: Resolved, exposure_s: float | None) -> Resolved:
         return source
     count = members.shape[1]
     told = source.acquisition
-    level = _saturation_adu(raw.adu, told.detector.saturation_adu)
+    level = told.detector.saturation_adu
+    level = float(np.iinfo(raw.adu.dtype).max) if level is None and _short(raw.adu) else level
     detector = replace(told.detector, saturation_adu=level).accumulated(count)
     rate_hz = None if told.frame_rate_hz is None else told.frame_rate_hz / count
     acquisition = replace(
@@ -290,20 +287,18 @@ def _members(counter: np.ndarray, introduced_nm: np.ndarray, count: int) -> np.n
     return np.array(whole, dtype=int).reshape(-1, count)
 
 
-def _saturation_adu(adu: np.ndarray, told_adu: float | None) -> float | None:
-    short = adu.dtype.kind in "iu" and adu.dtype.itemsize <= SHORT_COUNTS
-    return told_adu if told_adu is not None or not short else float(np.iinfo(adu.dtype).max)
+def _short(adu: np.ndarray) -> bool:
+    return adu.dtype.kind in "iu" and adu.dtype.itemsize <= SHORT_COUNTS
 
 
 def _summed(raw: RawRecording, members: np.ndarray, level_adu: float | None) -> RawRecording:
     count, maps, first = members.shape[1], raw.calibration, members[:, 0]
     sums = np.stack([_sum_adu(raw.adu[group], level_adu) for group in members])
-    darks = CalibrationMaps(
-        None if maps.dark_adu is None else count * maps.dark_adu,
-        count**2 * maps.dark_variance_adu2,
-        None if maps.background_adu is None else count * maps.background_adu,
-        maps.flat,
-        maps.bad,
+    darks = replace(
+        maps,
+        dark_adu=None if maps.dark_adu is None else count * maps.dark_adu,
+        dark_variance_adu2=count**2 * maps.dark_variance_adu2,
+        background_adu=None if maps.background_adu is None else count * maps.background_adu,
     )
     note = f"{raw.path}: {raw.frames} frames summed to {len(members)} of {count} each"
     return replace(
@@ -318,8 +313,7 @@ def _summed(raw: RawRecording, members: np.ndarray, level_adu: float | None) -> 
 
 def _sum_adu(frames_adu: np.ndarray, level_adu: float | None) -> np.ndarray:
     """Sum of frames: int32 of counts that end at 16 bits, else float64."""
-    short = frames_adu.dtype.kind in "iu" and frames_adu.dtype.itemsize <= SHORT_COUNTS
-    total = frames_adu.sum(axis=0, dtype=np.int64 if short else np.float64)
+    total = frames_adu.sum(axis=0, dtype=np.int64 if _short(frames_adu) else np.float64)
     if level_adu is not None:
         total = np.where((frames_adu >= level_adu).any(axis=0), len(frames_adu) * level_adu, total)
-    return total.astype(np.int32) if short else total
+    return total.astype(np.int32) if _short(frames_adu) else total

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+import re
 from dataclasses import MISSING, asdict, dataclass, fields
 from math import nan
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
-from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.recording import SERIES, Acquisition, Recording
 from irlos_pipe.frames.screening import Limits
 from irlos_pipe.frames.told import Constant
-from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product, Quantity, declared
 from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, StageResults, item, results_of
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.stages.base import StageConfig, run_of
+from irlos_pipe.stages.base import StageConfig, late
 
 VERSION = 14
 ARRAYS_ONLY = True
@@ -181,26 +178,9 @@ class IngestResults(StageResults):
 
 
 Results = IngestResults
-run = run_of("irlos_pipe.stages.ingest.work")
-
-
-def files_of(root: Path) -> list[Path]:
-    """Return every file that ingest reads of an input, given as a file or folder `root`."""
-    from irlos_pipe.readers.find import files_of as recording_parts
-    from irlos_pipe.readers.find import recording_files
-
-    with suppress(NothingToDo):
-        return [path for recording in recording_files([root]) for path in recording_parts(recording)]
-    return []
-
-
-def examined(
-    inputs: Mapping[str, Sequence[Path]], config: Config, instrument: Instrument
-) -> tuple[list[str], list[Recording]]:
-    """Return what is wrong with the recordings of `inputs` and their side-cars, and these as declared."""
-    from irlos_pipe.stages.ingest.sources import examined
-
-    return examined(inputs, config.keys_for, instrument, config.exposure_of)
+run = late("irlos_pipe.stages.ingest.work")
+files_of = late("irlos_pipe.stages.ingest.sources", "files_of")
+examined = late("irlos_pipe.stages.ingest.sources", "examined")
 
 
 # -- recordings as arrays of the product, and back ---------------------------------------------------
@@ -271,24 +251,12 @@ def recordings_from_product(product: Product, input: str | None = None) -> list[
     return recordings
 
 
-def overviews_from_product(product: Product) -> list[Overview]:
-    """Return what a report shows of the recordings of an ingest product; frames are not read."""
-    return [_overview(product, *key) for key in _keys(product)]
-
-
 def _keys(product: Product) -> list[tuple[str, str]]:
     """Input and name of every recording, as listed in the results, others behind."""
     listed = [(row.input, row.name) for row in results_of(IngestResults, product).inputs]
-    stored = sorted(set(_stored_keys(product)))
+    paths = (re.fullmatch(f"{ROOT}/([^/]+)/(.+)/images_e", path, re.DOTALL) for path in product.arrays)
+    stored = sorted({(path[1], path[2]) for path in paths if path})
     return [key for key in listed if key in stored] + [key for key in stored if key not in listed]
-
-
-def _stored_keys(product: Product) -> Iterator[tuple[str, str]]:
-    for path in product.arrays:
-        root, _, rest = path.partition("/")
-        if root == ROOT and rest.endswith("/images_e"):
-            owner, name = rest.removesuffix("/images_e").split("/", 1)
-            yield owner, name
 
 
 def _recording(product: Product, owner: str, name: str) -> Recording:
@@ -302,26 +270,28 @@ def _recording(product: Product, owner: str, name: str) -> Recording:
     return Recording(name=name, input=owner, acquisition=_acquisition(product, prefix), **stored)
 
 
-def _overview(product: Product, owner: str, name: str) -> Overview:
-    prefix = f"{ROOT}/{owner}/{name}"
-    stored = {key for key in RECORDING if f"{prefix}/{key}" in product.arrays}
-
-    def own(key: str) -> np.ndarray:
-        return np.asarray(product.arrays[f"{prefix}/{key}"].value)
-
-    return Overview(
-        name,
-        owner,
-        _acquisition(product, prefix),
-        own("pixel_mask"),
-        float(own("start_unix_s")),
-        own("mean_e")
-        if "mean_e" in stored
-        else _recording(product, owner, name).mean_e,  # of earlier versions
-        own("used"),
-        own("time_s"),
-        {key: own(key) for key in SERIES if key in stored},
-    )
+def overviews_from_product(product: Product) -> list[Overview]:
+    """Return what a report shows of the recordings of an ingest product; frames are not read."""
+    found = []
+    for owner, name in _keys(product):
+        prefix = f"{ROOT}/{owner}/{name}"
+        arrays = {key: f"{prefix}/{key}" for key in ("pixel_mask", "start_unix_s", "used", "time_s")}
+        good, start_s, used, time_s = (np.asarray(product.arrays[path].value) for path in arrays.values())
+        mean_e = product.arrays.get(f"{prefix}/mean_e")  # None in a product of an earlier version
+        found.append(
+            Overview(
+                name,
+                owner,
+                _acquisition(product, prefix),
+                good,
+                float(start_s),
+                mean_e.value if mean_e else _recording(product, owner, name).mean_e,
+                used,
+                time_s,
+                {key: own.value for key in SERIES if (own := product.arrays.get(f"{prefix}/{key}"))},
+            )
+        )
+    return found
 
 
 def _acquisition(product: Product, prefix: str) -> Acquisition:

@@ -29,7 +29,13 @@ from irlos_pipe.product.results import Observed
 from irlos_pipe.readers.acquisition import RawRecording, Resolved
 from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.ingest.sources import accumulated, failing_alone, read_sources, with_darks
+from irlos_pipe.stages.ingest.sources import (
+    accumulated,
+    as_declared,
+    failing_alone,
+    read_sources,
+    with_darks,
+)
 from irlos_pipe.stages.ingest.stage import (
     RECORDING,
     Config,
@@ -72,7 +78,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             for line in (*_contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
             rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
-            quality += _checks(recording, told, ctx.config)
+            quality += _checks(rows[-1], told, ctx.config)
             arrays |= _arrays(recording, cleaned, source.raw)
     for name in ctx.inputs:
         if not any(row.input == name for row in rows):
@@ -108,9 +114,12 @@ def ingest(source: Resolved, config: Config, instrument: Instrument) -> tuple[Re
     `config` limits pixels and frames, `instrument` gives the diameter of the pupil. Raises `InputDataError`
     if none of its frames can be used, all are the same image, or the noise of a single one is not known.
     """
-    _require_room(source)
+    frames, rows, columns = source.raw.adu.shape
+    where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
+    require_memory(
+        _needed_bytes(source), where, InputDataError, "cut the window, or the recording into parts"
+    )
     if time_is_last(source.raw.adu):
-        frames, rows, columns = source.raw.adu.shape
         raise InputDataError(
             f"{source.raw.path}: of its axes ({frames}, {rows}, {columns}) the last seems to be that of the "
             "frames, for the star stands still along it; write the cube with axes (frames, y, x)"
@@ -130,13 +139,6 @@ def ingest(source: Resolved, config: Config, instrument: Instrument) -> tuple[Re
             "and read-out together)"
         )
     return _recording(source, cleaned), cleaned
-
-
-def _require_room(source: Resolved) -> None:
-    frames, rows, columns = source.raw.adu.shape
-    where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
-    advice = "cut the window, or the recording into parts"
-    require_memory(_needed_bytes(source), where, InputDataError, advice)
 
 
 def _needed_bytes(source: Resolved) -> float:
@@ -179,21 +181,17 @@ def _step_s(raw: RawRecording) -> float:
 def _recording(source: Resolved, cleaned: Cleaned) -> Recording:
     raw, acquisition = source.raw, source.acquisition
     detector = replace(acquisition.detector, saturation_adu=cleaned.saturation_adu)
-    return Recording(
-        name=raw.name,
-        input=source.input,
+    return replace(
+        as_declared(source),
         images_e=cleaned.images_e,
         used=cleaned.used,
         reason=cleaned.reasons,
         good=cleaned.good,
         time_s=relative_times(raw.unix_s, raw.frame_counter, acquisition.frame_rate_hz),
-        frame_counter=raw.frame_counter,
-        introduced_defocus_nm=source.introduced_defocus_nm,
         acquisition=replace(acquisition, detector=detector),
         background_variance_e2=cleaned.background_variance_e2,
         dark_variance_e2=cleaned.dark_variance_e2,
         frames_missing=frames_missing(raw.frame_counter),
-        start_unix_s=raw.start_unix_s,
     )
 
 
@@ -224,49 +222,36 @@ def _found_bad(recording: Recording, raw: RawRecording) -> np.ndarray:
 
 
 def _row(
-    recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told] = (), instrument: str = ""
+    recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told], instrument: str
 ) -> RecordingRow:
     """Return the entry of a `recording` in the results."""
     acquisition, background, noise = recording.acquisition, cleaned.background, cleaned.noise
+    row_px, column_px = star_position(recording.mean_e)
+    window_rows, columns = recording.window
     return RecordingRow.filled_from(
-        recording,
-        role=acquisition.role,
-        layout=raw.layout,
-        mode=raw.mode,
-        frames=raw.frames,
-        window=raw.window,
+        *(recording, raw, acquisition, background, noise),
         frames_rejected=int(np.sum(~recording.used)),
-        flux_e=_flux_e(recording),
-        mag_j=acquisition.mag_j,
+        flux_e=float(np.median(frame_flux(recording.images_e)[recording.used])),
         reasons=tally(recording.reason),
         saturated_frames=int(np.sum(recording.reason == SATURATED)),
         bad_pixels=np.argwhere(~recording.good).tolist(),
         bad_pixels_found=_found_bad(recording, raw).tolist(),
         clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
         cosmic_hits=int(cleaned.hits.frame.size),
-        centre_offset_px=_centre_offset_px(recording),
-        pedestal_adu=background.pedestal_adu,
-        pedestal_error_adu=background.pedestal_error_adu,
+        centre_offset_px=(column_px - (columns - 1) / 2, row_px - (window_rows - 1) / 2),
         noise_floor_e2=noise.floor_e2,
         excess_noise_measured=noise.excess_noise_factor,
         noise=constants(acquisition.detector, acquisition.sources, noise),
-        corner_scatter_e=noise.corner_scatter_e,
-        sources=acquisition.sources,
         observed=Observed.filled_from(
-            recording.acquisition,
+            acquisition,
             file=raw.path.name,
             start=iso_time(recording.start_unix_s),
             cards=dict(raw.cards),
             instrument=instrument,
-            diversity_nm=recording.acquisition.diversity,
+            diversity_nm=acquisition.diversity,
         ),
         doubts=[one.text for one in told if one.warned],
     )
-
-
-def _flux_e(recording: Recording) -> float:
-    """Median over the used frames of their sum [e-]."""
-    return float(np.median(frame_flux(recording.images_e)[recording.used]))
 
 
 def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
@@ -286,46 +271,35 @@ def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
 def _dark_row(source: Resolved) -> RecordingRow:
     """Return the entry of a dark recording, which has no star."""
     none = {"frames_rejected": 0, "frames_missing": 0, "flux_e": None, "mag_j": None}
-    return RecordingRow(
-        input=source.input,
-        role="dark",
-        **{key: getattr(source.raw, key) for key in ("name", "layout", "mode", "frames", "window")},
-        **none,
-    )
+    return RecordingRow.filled_from(source.raw, input=source.input, role="dark", **none)
 
 
-def _centre_offset_px(recording: Recording) -> tuple[float, float]:
-    """Return the position (x, y) of the star in the mean image against the window's centre [px]."""
-    row_px, column_px = star_position(recording.mean_e)
-    rows, columns = recording.window
-    return column_px - (columns - 1) / 2, row_px - (rows - 1) / 2
-
-
-def _checks(recording: Recording, told: Sequence[Told], config: Config) -> list[Check]:
-    """Return the QC checks of a `recording`, and of what was `told` of it, with the limits of `config`."""
+def _checks(row: RecordingRow, told: Sequence[Told], config: Config) -> list[Check]:
+    """Return the QC checks of a recording, and of what was `told` of it, with the limits of `config`."""
     wrong = [one.text for one in told if one.wrong]
     contradicted = "; ".join(wrong) or "nothing that was declared is contradicted by the frames beyond doubt"
-    saturated = np.mean(recording.reason == SATURATED)
-    missing = recording.frames_missing / (recording.frames + recording.frames_missing)
-    offset_px = np.hypot(*_centre_offset_px(recording))
-    reasons = ", ".join(f"{number} x {reason}" for reason, number in tally(recording.reason).items())
+    rejected, saturated = row.frames_rejected / row.frames, row.saturated_frames / row.frames
+    missing = row.frames_missing / (row.frames + row.frames_missing)
+    x_px, y_px = row.centre_offset_px
+    bad, offset_px = len(row.bad_pixels) / np.prod(row.window), np.hypot(x_px, y_px)
+    reasons = ", ".join(f"{number} x {reason}" for reason, number in row.reasons.items())
     why = f"frames that are rejected ({reasons or 'none'})"
-    offset_limit_px = config.max_centre_offset_fraction * min(recording.window)
+    offset_limit_px = config.max_centre_offset_fraction * min(row.window)
     table = [
-        ("rejected", np.mean(~recording.used), "1", config.max_rejected_fraction, why),
+        ("rejected", rejected, "1", config.max_rejected_fraction, why),
         ("saturated", saturated, "1", config.max_saturated_fraction, "frames that are saturated"),
         ("missing", missing, "1", config.max_missing_fraction, "frames that the recorder lost"),
-        ("bad_pixels", np.mean(~recording.good), "1", config.max_bad_pixel_fraction, "masked pixels"),
+        ("bad_pixels", bad, "1", config.max_bad_pixel_fraction, "masked pixels"),
         ("centring", offset_px, "px", offset_limit_px, "distance of the star from the window's centre"),
     ]
-    prefix = f"ingest/{recording.input}/{recording.name}"
+    prefix = f"ingest/{row.input}/{row.name}"
     message = "signal above the level of the sky, or dark; negative, and it is not that of these frames"
     return [
         *(
             Check(f"{prefix}/{name}", float(value), unit, None, float(high), message)
             for name, value, unit, high, message in table
         ),
-        Check(f"{prefix}/flux", _flux_e(recording), "e-", 0.0, None, message),
+        Check(f"{prefix}/flux", row.flux_e, "e-", 0.0, None, message),
         Check(f"{prefix}/told", float(len(wrong)), "1", None, 0.0, contradicted),
     ]
 

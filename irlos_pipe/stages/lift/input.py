@@ -5,12 +5,13 @@ Frames are fitted as the stage's settings ask for it: jointly, or as the focus l
 
 import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects import Effect, expected
 from irlos_pipe.effects.base import labels_of
@@ -20,7 +21,6 @@ from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.wavefront import BROAD_NM, ChromaticNcpa, FilterNcpa, HighOrderNcpa
 from irlos_pipe.estimate.calibration_options import LiftOptions, NcpaPrior
 from irlos_pipe.estimate.focus import NOLLS, Focus, Limits, lift_singly
-from irlos_pipe.estimate.lift import FrameErrors
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
@@ -29,7 +29,7 @@ from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.product.results import Observed, results_of
-from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.base import StageContext, refused
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import IngestResults
 from irlos_pipe.stages.lift.stage import OWN, Config, size_nm_of
@@ -62,6 +62,10 @@ class Ramp:
     def acquisition(self) -> Acquisition:
         """How the ramp was taken."""
         return self.recordings[0].acquisition
+
+    def refused(self) -> AbstractContextManager[None]:
+        """Return the context in which a `ValueError` is an `InputDataError` of the ramp."""
+        return refused(InputDataError, f"ramp of {len(self.recordings)} recordings")
 
 
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
@@ -208,11 +212,6 @@ def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> lis
     return [*effects, *(effect for effect in own if effect.name not in listed)]
 
 
-def explains(before: FrameErrors, after: FrameErrors) -> bool:
-    """Return whether a fit `after` explains what another one `before` it misses."""
-    return after.excess <= EXPLAINED * before.excess
-
-
 def older_text(fit: RampFit, calibration_nm: float) -> str:
     """Return what a wavefront of filter or lens in a `fit` says that errors do not excuse; else nothing.
 
@@ -235,36 +234,32 @@ def fit_frames(
     ctx: StageContext[Config],
     ramp: Ramp,
     *,
-    calibrated: bool,
-    halo: str,
     own_wavefront: bool = False,
     seen: np.ndarray | None = None,
     after: RampFit | None = None,
 ) -> RampFit:
-    """Estimate every frame of the `ramp`; if `calibrated`, the NCPAs of `calibrate` are known wavefront.
+    """Estimate every frame of the `ramp` as the settings of `lift` in `ctx` ask for it.
 
-    The AO residual of the model, `halo`, is "calibrated", "fit" or "off". With `own_wavefront` that of the
-    ramp's light is fitted to all frames. The frames `seen`, (frames,) of bool, determine what all frames
-    share, by default all of them; `after` is another fit of the ramp whose dispersion, colour and own
-    wavefront are taken over and not fitted once more.
+    With `own_wavefront` that of the ramp's light is fitted to all frames. The frames `seen`, (frames,) of
+    bool, determine what all frames share, by default all of them; `after` is another fit of the ramp whose
+    dispersion, colour and own wavefront are taken over and not fitted once more.
     """
     if ctx.config.singly:
-        return _fit_singly(ctx, ramp, calibrated=calibrated, halo=halo)
-    ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
-    model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
-    recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas
+        return _fit_singly(ctx, ramp)
+    config, recording = ctx.config, ramp.recordings[0]
+    ncpa_nm = calibrated_ncpa_nm(ctx) if config.calibrated else {}
+    model = ramp_model(ctx, ramp, config.modes, ncpa_nm)
     own_wavefront |= after is not None and any(isinstance(one.base, OWN) for one in _effects_of(after))
-    effects = effects_for_lift(
-        ctx, recording, halo, kernel, calibrated=calibrated, own_wavefront=own_wavefront
-    )
+    kept = {"calibrated": config.calibrated, "own_wavefront": own_wavefront}
+    effects = effects_for_lift(ctx, recording, config.halo, config.object_sigma_mas, **kept)
     effects = effects if after is None else _with_light_of(after, effects)
-    first = after is None and (not own_wavefront or ctx.config.own_wavefront == "always")
+    first = after is None and (not own_wavefront or config.own_wavefront == "always")
     if first and (warning := colour_warning(effects, ramp.recordings)):
         ctx.log.warning(warning)
-    if ctx.config.common_modes:
-        effects.append(HighOrderNcpa(ctx.config.common_modes))
-    start = ramp_start(ctx, model, ramp, ncpa_nm, ctx.config.start)
-    options = _options(ctx.config, ctx.instrument.facility.ncpa_law, start)
+    if config.common_modes:
+        effects.append(HighOrderNcpa(config.common_modes))
+    start = ramp_start(ctx, model, ramp, ncpa_nm, config.start)
+    options = _options(config, ctx.instrument.facility.ncpa_law, start)
     with ctx.progress(total=len(ramp.names), desc="lift") as bar:
         return fit_ramp(model, ramp.data, start, options, effects, seen=seen, report=bar.update)
 
@@ -298,25 +293,24 @@ def _options(config: Config, ncpa_law: NcpaLaw, start_nm: torch.Tensor) -> LiftO
 # -- one frame at a time: the sensor that a calibration makes ----------------------------------------
 
 
-def single_frame_model(
-    ctx: StageContext[Config], recording: Recording, *, calibrated: bool = True, halo: str = "calibrated"
-) -> ImageModel:
+def single_frame_model(ctx: StageContext[Config], recording: Recording) -> ImageModel:
     """Return the model of single frames with tip, tilt and defocus, everything else as calibrated.
 
-    Effects that are neither calibrated nor given values are taken as expected. `ctx`, `calibrated` and
-    `halo` are as in `fit_frames`; of the `recording` only acquisition and window matter.
+    Effects that are neither calibrated nor given values are taken as expected. `ctx` is as in `fit_frames`;
+    of the `recording` only acquisition and window matter.
 
     Raises `ConfigurationError` for a recording of a 2x2 mode, whose images are not tabulated.
     """
-    ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
+    config = ctx.config
+    ncpa_nm = calibrated_ncpa_nm(ctx) if config.calibrated else {}
     settings = psf_settings(ctx.instrument, ctx.model, recording, ncpa_nm=ncpa_nm)
     if settings.lenslets > 1:
         raise ConfigurationError(
             f"{recording.name}: frames of 2x2 modes cannot be measured singly; set lift.singly=false"
         )
     psf = PsfModel(settings.for_single_frames(), NOLLS)
-    kernel = ctx.config.object_sigma_mas
-    effects = effects_for_lift(ctx, recording, halo, kernel, calibrated=calibrated)
+    kernel = config.object_sigma_mas
+    effects = effects_for_lift(ctx, recording, config.halo, kernel, calibrated=config.calibrated)
     return ImageModel(psf, expected(effects))
 
 
@@ -327,15 +321,13 @@ def focus_sensor(
 
     Raises `ConfigurationError` if the images of such a model cannot be tabulated.
     """
-    try:
+    with refused(ConfigurationError, "single frames cannot be measured with this model"):
         return Focus(model, good, noise, limits or Limits())
-    except ValueError as problem:
-        raise ConfigurationError(f"single frames cannot be measured with this model: {problem}") from None
 
 
-def _fit_singly(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
-    """Estimate every frame of a `ramp` by itself; `ctx`, `calibrated` and `halo` as in `fit_frames`."""
-    model = single_frame_model(ctx, ramp.recordings[0], calibrated=calibrated, halo=halo)
+def _fit_singly(ctx: StageContext[Config], ramp: Ramp) -> RampFit:
+    """Estimate every frame of a `ramp` by itself; `ctx` as in `fit_frames`."""
+    model = single_frame_model(ctx, ramp.recordings[0])
     focus = focus_sensor(model, ramp.data.good.numpy(), ramp.data.noise)
     with ctx.progress(total=len(ramp.names), desc="lift") as bar:
         result = lift_singly(focus, ramp.data.images_e.numpy(), bar.update)

@@ -12,7 +12,7 @@ from irlos_pipe.estimate.calibration_options import LiftOptions, NoiseSource
 from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
-from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, late
 from irlos_pipe.stages.model.groups import require_line, require_parts, require_ramp
 
 VERSION = 19
@@ -125,17 +125,13 @@ class Config(StageConfig):
     )
 
     @model_validator(mode="after")
-    def _modes_are_not_estimated_twice(self) -> "Config":
+    def _fits_together(self) -> "Config":
         named = (*self.modes, *self.common_modes)
         twice = sorted({noll for noll in named if named.count(noll) > 1})
         if twice:
             raise ValueError(f"mode {twice[0]} stands twice in 'modes' and 'common_modes'; name it once")
         if min(self.common_modes, default=2) < 2:
             raise ValueError("'common_modes' are Noll modes from 2 on")
-        return self
-
-    @model_validator(mode="after")
-    def _the_prior_has_modes(self) -> "Config":
         if self.estimator == "map" and not {*self.modes} - {2, 3, 4}:
             raise ValueError(
                 "estimator 'map' leaves tip, tilt and defocus free, and 'modes' has no others; take 'ml'"
@@ -143,10 +139,6 @@ class Config(StageConfig):
         default = type(self).model_fields["prior_scale"].default
         if self.estimator == "ml" and self.prior_scale != default:
             raise ValueError("'prior_scale' is that of estimator 'map'; set that as well")
-        return self
-
-    @model_validator(mode="after")
-    def _singly_is_what_the_loop_does(self) -> "Config":
         fitted = self.halo == "fit" or self.object_sigma_mas == "fit" or bool(self.common_modes)
         other = sorted(self.modes) != [2, 3, 4] or self.estimator != "ml" or self.loss != "gaussian"
         if self.singly and (fitted or other):
@@ -236,7 +228,7 @@ class LiftResults(StageResults):
 
 
 Results = LiftResults
-run = run_of("irlos_pipe.stages.lift.work")
+run = late("irlos_pipe.stages.lift.work")
 
 
 def require(declared: Declared[Config]) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from irlos_pipe.estimate.lift import (
     nominal_frame_chi2,
     optics_sigma_nm,
 )
-from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise, summarise_one_offset
+from irlos_pipe.estimate.ramp import RampSummary, fit_focus_stage, summarise, summarise_one_offset
 from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.estimate.tabulated import FocusCurve, focus_curve
 from irlos_pipe.product.product import Check, Quantity, declared
@@ -24,8 +24,8 @@ from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.lift.input import (
+    EXPLAINED,
     Ramp,
-    explains,
     fit_frames,
     has_other_light,
     older_text,
@@ -55,15 +55,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         )
     ramp = read_ramp(ctx, ctx.config.input)
     fit = _fitted(ctx, ramp)
-    focus = _focus_stage(ctx, ramp, fit)
+    effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
+    with ramp.refused():  # what the focus stage really did, as far as the recipe's model says that it may err
+        focus = fit_focus_stage([e for e in effects if e.plane == "ramp"], ramp.commanded_nm, fit.defocus_nm)
     ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp, fit) if ctx.config.compare else {}
-    typical = _typical(fit) if ctx.config.compare else None
-    curve, data = None, ramp.data
-    if typical is not None:
-        modes_nm = fit.result.zernike_nm[typical]
-        curve = focus_curve(fit.model, data.images_e[typical], data.good, data.noise, modes_nm)
+    twin, curve = _twin(ramp, fit) if ctx.config.compare else (Twin(), None)
     errors, photon_nm = _frame_errors(ramp, fit), fit.result.mode(4)[1].numpy()
     optics_nm = _optics_nm(ctx, ramp, fit)
     of_optics_nm = float(np.nanmedian(optics_nm))
@@ -75,20 +73,19 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         if text:
             ctx.log.warning(text)
     converged = float(fit.result.solution.converged.double().mean())
-    rows = zip(
-        summary.offsets_nm.tolist(), summary.median_nm.tolist(), summary.scatter_nm.tolist(), strict=True
-    )
     results = LiftResults(
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
         points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
         summary=summary,
-        offsets=[Offset(introduced_nm=o, median_nm=m, scatter_nm=s) for o, m, s in rows],
+        offsets=Offset.rows(
+            introduced_nm=summary.offsets_nm, median_nm=summary.median_nm, scatter_nm=summary.scatter_nm
+        ),
         effects=fit.effects | focus.effects,
         effects_sigma=fit.sigma | focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
         compare=others,
-        twin=_twin(ramp, typical, curve),
+        twin=twin,
         ao_defocus_nm=excess_scatter_nm(ramp.data.introduced_nm, fit.defocus_nm, photon_nm),
         chi2_nu=errors.chi2_nu,
         nominal_chi2_nu=errors.nominal_chi2_nu,
@@ -106,18 +103,17 @@ def _fitted(ctx: StageContext[Config], ramp: Ramp) -> RampFit:
     """The ramp with the calibrated wavefront, or jointly with one of its own light."""
     config = ctx.config
     own = config.own_wavefront != "never" and has_other_light(ctx, ramp.acquisition)
-    fit_with = partial(fit_frames, ctx, ramp, calibrated=config.calibrated, halo=config.halo)
     if own and config.own_wavefront == "always":
-        return fit_with(own_wavefront=True)
-    fit = fit_with()
+        return fit_frames(ctx, ramp, own_wavefront=True)
+    fit = fit_frames(ctx, ramp)
     errors = _frame_errors(ramp, fit)
-    if not own or not misfits(config, errors):
+    if not own or _misfit(config, errors).passed:
         return fit
     ctx.log.info(
         "median χ²/ν of the frames is %.2f: a wavefront of the ramp's own light is fitted", errors.chi2_nu
     )
-    other = fit_with(own_wavefront=True)
-    return other if explains(errors, _frame_errors(ramp, other)) else fit
+    other = fit_frames(ctx, ramp, own_wavefront=True)
+    return other if _frame_errors(ramp, other).excess <= EXPLAINED * errors.excess else fit
 
 
 def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:
@@ -159,42 +155,36 @@ def _optics_nm(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> np.ndarra
     return optics_sigma_nm(fit.model, fit.result, ramp.data.good, ramp.data.noise, nolls, covariance_nm2)
 
 
-def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
-    """What the focus stage really did, as far as the recipe's model says that it may err."""
-    effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
-    ramp_effects = [effect for effect in effects if effect.plane == "ramp"]
-    try:
-        return fit_focus_stage(ramp_effects, ramp.commanded_nm, fit.defocus_nm)
-    except ValueError as problem:
-        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
-
-
 def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str, RampSummary]:
     """Estimate the same ramp without NCPAs and without the AO residual, all else as the `fit` has it."""
-    config, found = ctx.config, {}
-    if config.calibrated:
-        found[WITHOUT_NCPAS] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo, after=fit)
-    if config.halo != "off" and ctx.model.effects:
-        found["without AO residual"] = fit_frames(
-            ctx, ramp, calibrated=config.calibrated, halo="off", after=fit
-        )
-    return {name: _summarise(ramp, fit) for name, fit in found.items()}
+    left_out: dict[str, dict[str, Any]] = {}
+    if ctx.config.calibrated:
+        left_out[WITHOUT_NCPAS] = {"calibrated": False}
+    if ctx.config.halo != "off" and ctx.model.effects:
+        left_out["without AO residual"] = {"halo": "off"}
+    others = {name: ctx.config.model_copy(update=one) for name, one in left_out.items()}
+    found = {name: fit_frames(replace(ctx, config=one), ramp, after=fit) for name, one in others.items()}
+    return {name: _summarise(ramp, other) for name, other in found.items()}
 
 
-def _typical(fit: RampFit) -> int | None:
-    """Number of the frame with the median χ²/ν; None without a valid fit."""
+def _twin(ramp: Ramp, fit: RampFit) -> tuple[Twin, FocusCurve | None]:
+    """Whether the frame with the median χ²/ν excludes its twin; no curve without a valid fit."""
     chi2_nu = np.where(np.isfinite(fit.defocus_nm), fit.result.chi2_nu.numpy(), np.nan)
     order = np.argsort(chi2_nu)[: int(np.isfinite(chi2_nu).sum())]
-    return int(order[len(order) // 2]) if len(order) else None
+    if len(order) == 0:
+        return Twin(), None
+    data, typical = ramp.data, int(order[len(order) // 2])
+    modes_nm = fit.result.zernike_nm[typical]
+    curve = focus_curve(fit.model, data.images_e[typical], data.good, data.noise, modes_nm)
+    own = {"name": ramp.names[typical], "frame": ramp.frame[typical]}
+    best = {"defocus_nm": curve.best_nm, "chi2_nu": curve.best_chi2_nu}
+    return Twin.filled_from(curve, **own, **best), curve
 
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
-    try:
-        if not is_ramp(ramp.recordings):
-            return summarise_one_offset(ramp.data.introduced_nm, fit.defocus_nm)
-        return summarise(ramp.data.introduced_nm, fit.defocus_nm)
-    except ValueError as problem:
-        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
+    with ramp.refused():
+        of_kind = summarise if is_ramp(ramp.recordings) else summarise_one_offset
+        return of_kind(ramp.data.introduced_nm, fit.defocus_nm)
 
 
 # -- quality control: what a ramp says against itself, and the likely reasons ------------------------
@@ -273,11 +263,6 @@ def _error(config: Config, summary: RampSummary) -> Check:
     return check.because(TURNED if summary.slope < 0 else SCALED)
 
 
-def misfits(config: Config, errors: FrameErrors) -> bool:
-    """Return whether χ²/ν of the frames, in `errors`, is above its limit in `config`."""
-    return not _misfit(config, errors).passed
-
-
 def _misfit(config: Config, errors: FrameErrors) -> Check:
     """χ²/ν of the frames, over its nominal value where that is known."""
     known = math.isfinite(errors.nominal_chi2_nu)
@@ -310,26 +295,23 @@ def _points(
     offset_nm: float,
 ) -> list[Point]:
     """One row per frame, as results.json has them."""
-    defocus, photon = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
-    return [
-        Point(
-            name=name,
-            frame=ramp.frame[i],
-            introduced_nm=float(ramp.data.introduced_nm[i]),
-            commanded_nm=float(ramp.commanded_nm[i]),
-            defocus_nm=defocus[i],
-            sigma_nm=float(sigma_nm[i]),
-            sigma_photon_nm=photon[i],
-            sigma_optics_nm=float(optics_nm[i]),
-            sigma_offset_nm=offset_nm,
-            sigma_instant_nm=errors.instant_nm,
-            converged=fit.result.solution.status[i] == "converged",
-            status=fit.result.solution.status[i],
-            chi2_nu=float(fit.result.chi2_nu[i]),
-            zernike_nm=dict(zip(fit.result.nolls, fit.result.zernike_nm[i].tolist(), strict=True)),
-        )
-        for i, name in enumerate(ramp.names)
-    ]
+    result, count = fit.result, len(ramp.names)
+    return Point.rows(
+        name=ramp.names,
+        frame=ramp.frame,
+        introduced_nm=ramp.data.introduced_nm,
+        commanded_nm=ramp.commanded_nm,
+        defocus_nm=fit.defocus_nm,
+        sigma_nm=sigma_nm,
+        sigma_photon_nm=result.mode(4)[1].tolist(),
+        sigma_optics_nm=optics_nm,
+        sigma_offset_nm=[offset_nm] * count,
+        sigma_instant_nm=[errors.instant_nm] * count,
+        converged=[status == "converged" for status in result.solution.status],
+        status=result.solution.status,
+        chi2_nu=result.chi2_nu.tolist(),
+        zernike_nm=[dict(zip(result.nolls, one, strict=True)) for one in result.zernike_nm.tolist()],
+    )
 
 
 def _arrays(
@@ -358,18 +340,6 @@ def _arrays(
     return declared(ARRAYS, values)
 
 
-def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:
-    if frame is None or curve is None:
-        return Twin()
-    return Twin.filled_from(
-        curve,
-        name=ramp.names[frame],
-        frame=ramp.frame[frame],
-        defocus_nm=curve.best_nm,
-        chi2_nu=curve.best_chi2_nu,
-    )
-
-
 def _lines(
     ctx: StageContext[Config], fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
 ) -> list[str]:
@@ -385,8 +355,5 @@ def _lines(
         f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
     ]
     lines += [f"  {own}"] if (own := own_text(fit.effects)) else []
-    lines += [
-        f"  {name}: slope {other.slope:.4f}, error {other.rms_nm:.1f} nm RMS"
-        for name, other in others.items()
-    ]
-    return lines
+    slopes = {name: f"slope {one.slope:.4f}, error {one.rms_nm:.1f} nm RMS" for name, one in others.items()}
+    return lines + [f"  {name}: {text}" for name, text in slopes.items()]

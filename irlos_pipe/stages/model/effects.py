@@ -31,7 +31,7 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import results_of
-from irlos_pipe.stages.base import EffectEntry, ModelConfig
+from irlos_pipe.stages.base import EffectEntry, ModelConfig, refused
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import recordings_from_product
 from irlos_pipe.stages.model.groups import elements_of, require_one_setup
@@ -63,7 +63,10 @@ def psf_settings(
     if acquisition.lenslets > 1:
         settings = replace(settings, pupil_samples=max(settings.pupil_samples, settings.needed_samples))
     else:
-        _require_samples(instrument, model, recording)
+        shortest_m = min(wavelength_nm for wavelength_nm, _ in acquisition.spectrum) * NM
+        step_m = instrument.pupil.diameter_m / model.pupil_samples
+        with refused(ConfigurationError, f"{recording.name}: model.pupil_samples {model.pupil_samples}"):
+            require_resolved(max(recording.window), acquisition.pixel_scale_mas, shortest_m, step_m)
     for entry in model.entries():
         kind = CATALOGUE[entry.name]
         if issubclass(kind, LensEffect):  # without values it has the aperture of the profile
@@ -72,18 +75,6 @@ def psf_settings(
             values = effect.values_of(**entry.values) if entry.values else start
             settings = effect.apply(torch.tensor(values, dtype=torch.float64), settings)
     return settings
-
-
-def _require_samples(instrument: Instrument, model: ModelConfig, recording: Recording) -> None:
-    """Turn the model's refusal of a wide window into an error of the recipe."""
-    acquisition, step_m = recording.acquisition, instrument.pupil.diameter_m / model.pupil_samples
-    shortest_m = min(wavelength_nm for wavelength_nm, _ in acquisition.spectrum) * NM
-    try:
-        require_resolved(max(recording.window), acquisition.pixel_scale_mas, shortest_m, step_m)
-    except ValueError as problem:
-        raise ConfigurationError(
-            f"{recording.name}: model.pupil_samples {model.pupil_samples}: {problem}"
-        ) from None
 
 
 def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
@@ -202,16 +193,13 @@ def model_effects(
 
 
 def _effect(entry: EffectEntry, conditions: Conditions, recording_name: str) -> Effect:
-    try:
+    with refused(ConfigurationError, f"model.effects: {entry.name} for {recording_name}"):
         effect = _under(entry, conditions, entry.values)
         if not (entry.values or effect.parameters):
             raise ValueError("there is nothing to estimate; give its values")
-        if not entry.values:
-            return effect
-        values = effect.values_of(**entry.values)
-    except ValueError as problem:
-        raise ConfigurationError(f"model.effects: {entry.name} for {recording_name}: {problem}") from None
-    return FixedEffect(effect, values, free=[p.name for p in effect.parameters] if entry.fit else ())
+        values = effect.values_of(**entry.values) if entry.values else None
+    free = [one.name for one in effect.parameters] if entry.fit else ()
+    return effect if values is None else FixedEffect(effect, values, free=free)
 
 
 def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -> Effect:
@@ -257,14 +245,16 @@ def calibrated_effects(
     """
     conditions = conditions_of(instrument, model, recording, ncpa_wavelength_nm=ncpa_wavelength_nm)
     known: dict[str, FixedEffect] = {}
-    then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
+    # brightest pixel of the modelled mean image; the mean over cubes that were reduced one by one
+    models = [product.arrays[name].value for name in product.arrays if name.endswith("model_image_e")]
+    brightest_e = float(np.mean([np.max(image) for image in models])) if models else float("nan")
+    then = Calibrated(calibration_seeing_arcsec, brightest_e)
     entries = model.entries()
-    effects = [_effect(entry, conditions, recording.name) for entry in entries]
+    listed = labels_of([_effect(entry, conditions, recording.name) for entry in entries])
     found_too = {name.removeprefix("effects/") for name in product.arrays if name.startswith("effects/")}
-    kinds = sorted(kind_of(label) for label in found_too.difference(labels_of(effects)))
-    further = [EffectEntry.of(name) for name in kinds if CATALOGUE[name].instrumental]
-    entries += further
-    effects += [_effect(entry, conditions, recording.name) for entry in further]
+    kinds = sorted(kind_of(label) for label in found_too.difference(listed))
+    entries += [EffectEntry.of(name) for name in kinds if CATALOGUE[name].instrumental]
+    effects = [_effect(entry, conditions, recording.name) for entry in entries]
     for label, entry, effect in zip(labels_of(effects), entries, effects, strict=True):
         found: Effect | None = effect
         under = then
@@ -277,12 +267,6 @@ def calibrated_effects(
         if found is not None:
             known[label] = found.base.handed_on(found.all_values(()).numpy(), conditions, under)
     return known
-
-
-def _brightest_e(product: Product) -> float:
-    """Brightest pixel of the modelled mean image; the mean over cubes that were reduced one by one."""
-    models = [product.arrays[name].value for name in product.arrays if name.endswith("model_image_e")]
-    return float(np.mean([np.max(image) for image in models])) if models else float("nan")
 
 
 def _measured(product: Product, label: str, entry: EffectEntry, conditions: Conditions) -> Effect | None:
