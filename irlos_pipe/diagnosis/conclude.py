@@ -14,8 +14,7 @@ from irlos_pipe.diagnosis.effect_sizes import Covariances, detectable, within_re
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.grade import judged, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
-from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import Gap, NoiseVerdict, Ranked, Tried
+from irlos_pipe.diagnosis.records import Gap, NoiseVerdict, Options, Ranked, Tried
 from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.diagnosis.second_recording import SecondRecordings
 from irlos_pipe.diagnosis.verdict import (

@@ -18,7 +18,7 @@ import torch
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.options import DRIFT_NM
+from irlos_pipe.diagnosis.records import DRIFT_NM
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.effect_set import EffectSet

@@ -11,8 +11,7 @@ from irlos_pipe.diagnosis.acceptance import Accepted, Comparison, Search
 from irlos_pipe.diagnosis.checks import PHOTONS, SPECKLES, UNSEEN
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum
-from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import FineStructure, Gap, NoiseVerdict
+from irlos_pipe.diagnosis.records import FineStructure, Gap, NoiseVerdict, Options
 from irlos_pipe.diagnosis.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
 from irlos_pipe.effects.pupil_places import PupilPlace
 

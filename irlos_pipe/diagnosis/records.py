@@ -1,10 +1,27 @@
-"""Parts of a diagnosis that results.json holds as they are: every key is a field, described here only."""
+"""Choices of a diagnosis, and its parts that results.json holds as they are, described here only."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from math import nan
 from typing import Any
 
 from irlos_pipe.conventions.keys import DITTO, Number, key
+
+DRIFT_NM = 10.0  # change of every mode from one star or night to another
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of a diagnosis."""
+
+    # Noll 2 to this belong to every model; what lies beyond can be found as `high_order_ncpa`.
+    highest_noll: int
+    held_out: float  # part of the frames that no fit sees
+    most_names: int  # at which to stop
+    sure: float  # significance of a detection in Gaussian σ
+    drift_nm: float = DRIFT_NM  # prior σ of the change of every mode between stars and nights [nm RMS]
+    # Wavefront, of another recording, from which fits begin as well; Noll index to nm RMS.
+    begin_near_nm: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from irlos_pipe.diagnosis.final import JOINTLY, WORTH, Final
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.grade import copies_in_a_row
 from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum
-from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.posterior import (
     Covariance,
     Laplace,
@@ -29,6 +28,7 @@ from irlos_pipe.diagnosis.posterior import (
     WavefrontLaw,
     with_visible_modes,
 )
+from irlos_pipe.diagnosis.records import Options
 from irlos_pipe.diagnosis.scores import (
     Family,
     Score,
@@ -57,7 +57,6 @@ FINER = 0.5  # by which the steps of a search for a place get smaller
 LEAST = 0.02  # and the last of them, of the range or λ/D
 
 Report = Callable[[int], None]
-Descent = tuple[torch.Tensor, float, torch.Tensor | None]  # see `Posterior.descended`
 
 
 @dataclass(frozen=True)
@@ -272,11 +271,11 @@ class Task:
         fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
         sides = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
 
-        def following(side: tuple[Effect, torch.Tensor, list[int]]) -> Descent:
-            _, x, columns = side
-            return sharp.descended(x, 1, roughly=True, held=columns, slopes=laplace.columns)
-
-        promising = sorted(ordered_map(following, sides), key=lambda one: one[1])[:SIDES]
+        following = ordered_map(
+            lambda side: sharp.descended(side[1], 1, roughly=True, held=side[2], slopes=laplace.columns),
+            sides,
+        )
+        promising = sorted(following, key=lambda one: one[1])[:SIDES]
         ends = ordered_map(lambda one: sharp.descended(one[0], TURNED, roughly=True), promising)
         self.report(len(ends))
         x, value, _ = min(ends, key=lambda one: one[1], default=(laplace.x, math.inf, None))

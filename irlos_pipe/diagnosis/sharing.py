@@ -16,8 +16,7 @@ from irlos_pipe.diagnosis.cube import Cube, Stacks
 from irlos_pipe.diagnosis.effect_sizes import Covariances, parameter_covariance
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
-from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import OwnValueRow, SharingRow, Star
+from irlos_pipe.diagnosis.records import Options, OwnValueRow, SharingRow, Star
 from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma

@@ -25,8 +25,7 @@ from irlos_pipe.diagnosis.conclude import conclude
 from irlos_pipe.diagnosis.cube import Cube, cubes_of
 from irlos_pipe.diagnosis.fitting import POINTING, Fitter, begun_at
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import OppositeSide
+from irlos_pipe.diagnosis.records import OppositeSide, Options
 from irlos_pipe.diagnosis.search import Report, Task
 from irlos_pipe.diagnosis.sharing import together
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis

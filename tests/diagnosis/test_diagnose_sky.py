@@ -10,7 +10,7 @@ import pytest
 from helpers.optics_cases import BAND, DIVERSITY, NCPA_LAW, RESIDUAL_LAW
 from helpers.simulated_scenes import NARROW_H, NCPA_NM, UT4, sky_frames
 
-from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Options
 from irlos_pipe.diagnosis.verdict import Diagnosis
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose

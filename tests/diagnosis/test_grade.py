@@ -13,8 +13,7 @@ from irlos_pipe.diagnosis.grade import (
     without_ordinary_facts,
 )
 from irlos_pipe.diagnosis.null_model import Excess
-from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import Gap, NoiseVerdict
+from irlos_pipe.diagnosis.records import Gap, NoiseVerdict, Options
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot

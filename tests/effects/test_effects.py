@@ -32,8 +32,8 @@ from helpers.simulated_scenes import NARROW_H, NCPA_NM, UT4, sky_frames
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import tilt_nm
-from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.ramp import compare
+from irlos_pipe.diagnosis.records import Options
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Conditions, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter

@@ -18,7 +18,7 @@ from helpers.optics_cases import (
     shift_nm,
 )
 from helpers.reference_psf import ReferenceImager, reference
-from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Options
 from irlos_pipe.diagnosis.verdict import Diagnosis
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose

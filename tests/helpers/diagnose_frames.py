@@ -19,7 +19,7 @@ from helpers.optics_cases import (
 from irlos_pipe.diagnosis.cube import Cube, Stacks, without_blocks_of_time
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Options
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.image_model import ImageModel

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field
 
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.diagnosis import records
-from irlos_pipe.diagnosis.options import DRIFT_NM
+from irlos_pipe.diagnosis.records import DRIFT_NM
 from irlos_pipe.files.regular import read_regular
 from irlos_pipe.optics.image_quality import CURVES
 from irlos_pipe.optics.wavefront import MapSize
@@ -18,7 +18,7 @@ from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, Resu
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.stages.base import StageConfig, late
 
-VERSION = 38
+VERSION = 39
 NEEDS = ("ingest",)
 READS = ("calibrate", "lift")
 Noll = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]

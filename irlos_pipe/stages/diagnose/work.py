@@ -15,9 +15,8 @@ import yaml
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
-from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.ramp import LightPathName, RampDiagnosis, RampName, compare, diagnose_ramp, ramp_gap
-from irlos_pipe.diagnosis.records import Alternative, Gap
+from irlos_pipe.diagnosis.records import Alternative, Gap, Options
 from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.diagnosis.verdict import EFFECT, UNKNOWN, Diagnosis, Pictures, Step, sentence
 from irlos_pipe.diagnosis.view import Exposures, Moments, Screened, placed
