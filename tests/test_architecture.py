@@ -77,8 +77,8 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 540, "commands": 1920, "control": 490, "conventions": 1000, "diagnosis": 5320, "effects": 4080,
-    "esorex": 100, "estimate": 7010, "files": 1040, "focus": 2360, "frames": 1980, "instrument": 850,
+    "api": 540, "commands": 1920, "control": 490, "conventions": 1000, "diagnosis": 5315, "effects": 4080,
+    "esorex": 100, "estimate": 7005, "files": 1040, "focus": 2360, "frames": 1980, "instrument": 850,
     "night": 3340, "numerics": 1000, "optics": 3700, "paper": 5440, "pipeline": 1200, "product": 2420,
     "readers": 2490, "recipe": 390, "reference": 280, "report": 4100, "simulate": 4140, "stages": 6170,
 }  # fmt: skip

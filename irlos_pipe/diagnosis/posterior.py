@@ -34,7 +34,6 @@ import torch
 from scipy.optimize import minimize
 
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter, JointFit
 from irlos_pipe.diagnosis.null_model import FittedModel
@@ -129,10 +128,9 @@ class _Airy:
 
     @classmethod
     def of(cls, settings: PsfSettings) -> _Airy:
-        diameter_m, axes = settings.geometry.diameter_m, []
-        across_px = resolution_px(settings.mean_nm * 1e-9, diameter_m, settings.pixel_scale_mas)
+        axes = []
         for size in settings.window:
-            apart = np.subtract.outer(np.arange(size), np.arange(size)) * DISC / across_px
+            apart = np.subtract.outer(np.arange(size), np.arange(size)) * DISC / settings.resolution_px
             values, vectors = np.linalg.eigh(np.sinc(apart) ** 2)
             kept = values > FAINTEST * values.max()
             axes.append(torch.as_tensor(vectors[:, kept] * np.sqrt(values[kept]), dtype=torch.float32))
@@ -457,8 +455,7 @@ class Laplace(FittedModel):
     @property
     def alike_px(self) -> float:
         """Number of pixels that what a model misses changes alike: those of an Airy disc."""
-        settings = self.settings
-        across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+        across_px = self.settings.resolution_mas / self.settings.pixel_scale_mas
         return max(1.0, np.pi / 4 * across_px**2)
 
     @cached_property

@@ -50,7 +50,6 @@ import torch
 from scipy.special import ndtr, stdtrit
 
 from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
-from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import LEAST_FRAMES, Frames, covariance_of_mean, local_mean
@@ -111,9 +110,8 @@ def _systematic_nm2(frames: Frames, fit: Fit, nominal: NominalChi2) -> tuple[np.
     of_shared = frames.noise.shared_e2 * (gain @ (weighted @ weighted.mT) @ gain.mT).numpy()
     seen = weight > 0
     light = local_mean(frames.mean_e, frames.good.double()).clamp_min(0).flatten() * seen
-    across_px = resolution_px(settings.mean_nm * NM, settings.geometry.diameter_m, settings.pixel_scale_mas)
     rows, columns = (
-        torch.as_tensor(np.sinc(np.subtract.outer(i, i) / (CORRELATED * across_px)) ** 2)
+        torch.as_tensor(np.sinc(np.subtract.outer(i, i) / (CORRELATED * settings.resolution_px)) ** 2)
         for i in map(np.arange, frames.good.shape)
     )
     felt = weighted * light

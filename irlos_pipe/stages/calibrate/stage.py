@@ -44,7 +44,7 @@ from irlos_pipe.stages.model.groups import (
     require_parts,
 )
 
-VERSION = 33
+VERSION = 34
 NEEDS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 CUBES = "cubes"  # group of the arrays of every recording, with `each`
