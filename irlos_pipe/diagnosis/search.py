@@ -201,10 +201,10 @@ class Task:
         entered = {one.base: math.inf if one.name in known else 0.0 for one in laplace.fitted.effects}
         if further is None:
             laplace, further = self._extended(laplace, entered)
-        # Before all is found, images blur more.
-        laplace = self._in_best_forms(laplace, labels_of(declared), wider=False)
         if laplace.misfit > FAR_OFF:
             laplace = self._nearest(laplace)
+        for wider in (True, False):  # before all is found, what else is missing hides the forms
+            laplace = self._in_best_forms(laplace, labels_of(declared), wider=wider)
         laplace = laplace.posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
         final = Final(self.cube, self.fitter, laplace, labels_of(declared), self.options.sure, self.kind)
         return final.named(search, entered, further)
