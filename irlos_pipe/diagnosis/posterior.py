@@ -18,8 +18,8 @@ With H = Jᵀ C⁻¹ J + P at the optimum, P the precisions of the priors, the e
     ln Z = −½ χ² − ½ χ²(priors) − ½ ln det H + ½ ln det P − ½ ln det C
 
 (MacKay 1992, Neural Comput. 4, 415). An effect enters by the evidence of two models of which each has the
-hyper-parameters that suit it: what is missing makes the error of the model larger, which hides it. Forms of
-an effect, and candidates before one of them enters, are compared at common ones.
+hyper-parameters that suit it: what is missing makes the error of the model larger, which hides it. Starts,
+forms of an effect, and candidates before one of them enters, are compared at common ones.
 """
 
 from __future__ import annotations

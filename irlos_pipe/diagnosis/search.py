@@ -188,23 +188,25 @@ class Task:
         def begun(near: Fitted | None) -> Laplace:
             whole = self._with_everyday(declared if near is None else near.continued())
             posterior = Posterior(fitter, few_colours, whole, covariance, law)
-            start = Laplace(posterior, posterior.start(near), coarse=True)
-            posterior = replace(posterior, covariance=start.with_best_errors())
-            return self._settled(posterior.minimised(start.x, FIRST, roughly=True, slopes=start.columns))
+            x = posterior.start(near)
+            if further is not None:  # larger errors than those of a fit that leaves nothing would lose it
+                errors = Laplace(posterior, x, coarse=True).with_best_errors()
+                posterior = replace(posterior, covariance=errors)
+            return posterior.minimised(x, FIRST, roughly=True)
 
         starts = ordered_map(begun, [None, alone] if further is None else [alone])
         laplace = max(starts, key=lambda one: one.log_evidence)
         usual = labels_of(self._with_everyday(declared))
-        laplace = self._in_best_forms(laplace, usual, wider=True)
+        laplace = self._settled(self._in_best_forms(laplace, usual, wider=True))
         # The odds with which they entered; what is free for the sake of errors has none.
         known = {one.name for one in (laplace.fitted if further is None else alone).effects}
         entered = {one.base: math.inf if one.name in known else 0.0 for one in laplace.fitted.effects}
         if further is None:
             laplace, further = self._extended(laplace, entered)
         if laplace.misfit > FAR_OFF:
-            laplace = self._nearest(laplace)
-        for wider in (True, False):  # before all is found, what else is missing hides the forms
-            laplace = self._in_best_forms(laplace, labels_of(declared), wider=wider)
+            laplace = self._in_best_forms(self._nearest(laplace), labels_of(declared), wider=True)
+        # Before all is found, images blur more.
+        laplace = self._in_best_forms(laplace, labels_of(declared), wider=False)
         laplace = laplace.posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
         final = Final(self.cube, self.fitter, laplace, labels_of(declared), self.options.sure, self.kind)
         return final.named(search, entered, further)

@@ -175,8 +175,8 @@ def adjusted(device: str) -> np.ndarray:
     free = {"adjustable": [PlateScale(9.75), ghost], "adjust_always": True}
     found = calibrate(frames, case, options, **free, device=device)
     assert "plate_scale" in found.effects
-    problem, solution = calibrate(frames, case, few, device=device).fit
-    causes = causes_of_misfit(problem, solution.values[:1], Asked(CONDITIONS, 0.1, np.nan))
+    fit = calibrate(frames, case, few, device=device).fit
+    causes = causes_of_misfit(fit.problem, fit.x, Asked(CONDITIONS, 0.1, np.nan))
     return np.array([*found.zernike_nm[:5], *(one.explains for one in causes)])
 
 
