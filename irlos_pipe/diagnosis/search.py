@@ -188,16 +188,17 @@ class Task:
         def begun(near: Fitted | None) -> Laplace:
             whole = self._with_everyday(declared if near is None else near.continued())
             posterior = Posterior(fitter, few_colours, whole, covariance, law)
-            x = posterior.start(near)
+            x, slopes = posterior.start(near), None
             if further is not None:  # larger errors than those of a fit that leaves nothing would lose it
-                errors = Laplace(posterior, x, coarse=True).with_best_errors()
-                posterior = replace(posterior, covariance=errors)
-            return posterior.minimised(x, FIRST, roughly=True)
+                start = Laplace(posterior, x, coarse=True)
+                posterior, slopes = replace(posterior, covariance=start.with_best_errors()), start.columns
+            return posterior.minimised(x, FIRST, roughly=True, slopes=slopes)
 
         starts = ordered_map(begun, [None, alone] if further is None else [alone])
         laplace = max(starts, key=lambda one: one.log_evidence)
         usual = labels_of(self._with_everyday(declared))
-        laplace = self._settled(self._in_best_forms(laplace, usual, wider=True))
+        wide = self._in_best_forms(laplace, usual, wider=True)
+        laplace = self._settled(laplace) if wide is laplace else wide
         # The odds with which they entered; what is free for the sake of errors has none.
         known = {one.name for one in (laplace.fitted if further is None else alone).effects}
         entered = {one.base: math.inf if one.name in known else 0.0 for one in laplace.fitted.effects}
@@ -327,7 +328,7 @@ class Task:
             return None
 
     def _in_best_forms(self, laplace: Laplace, known: Container[str], *, wider: bool) -> Laplace:
-        """The fit with each effect that is not `known` in its best form, wider or narrower ones."""
+        """The fit with each effect that is not `known` in its best form, settled where one changes."""
         found, labels = laplace, laplace.fitted.problem.effects.labels
         for label in labels if wider else reversed(labels):
             if label not in known:
